@@ -172,10 +172,6 @@ def _gain_is_realised(markov: MarkovParameters, realise_on: RealiseOn) -> bool:
 def scaled_channels(markov: MarkovParameters, realise_on: RealiseOn) -> FloatArray:
     """What the block Hankel matrix is made of: (n_lags + 1, n_outputs, n_channels), channels of comparable size.
 
-    Args:
-        markov: Markov parameters; without inputs, those of the gain are taken.
-        realise_on: see `decompose`.
-
     Raises:
         InvalidDataError: the gain is needed and there is none.
     """
@@ -290,9 +286,6 @@ def order_choice(decomposition: HankelDecomposition) -> GapChoice:
     Markov parameters of an observer of order p are a sum of p n_outputs exponentials whatever the data were: their
     singular values end there, at the largest gap of all. It says nothing of the system, so a tenfold gap before it
     counts instead; where there is none (an observer of the least order, or much noise) the end stands.
-
-    Args:
-        decomposition: from `decompose`.
     """
     found = decomposition
     return gap_choice(

@@ -59,10 +59,6 @@ class NoisePart:
 def left_over(model: Realisation, record: Record) -> tuple[NoisePart, FloatArray]:
     """What the free run leaves of a record.
 
-    Args:
-        model: its gain is not looked at.
-        record: of the model's channels and time step.
-
     Returns:
         The part, and (n_samples, n_outputs) what the free decay from its state leaves too.
 

@@ -337,13 +337,6 @@ def turn_gram(records: Sequence[Record], order: int, *, scaling: ChannelScaling,
     A record whose samples hold `n_turns` samples of ours, z(k), z(k-1), ..., and whose rows are these k, has the same
     regressors in the same order, and its rows are one run. Up to `n_turns` - 1 rows at a record's start are left out.
 
-    Args:
-        records: of one system.
-        order: largest lag.
-        scaling: mean and size of every channel.
-        n_turns: rows take turns among so many.
-        turn: of the rows that count, 0 ... n_turns - 1.
-
     Example:
         >>> from okid.scaling import channel_scaling
         >>> record = Record(np.sin(np.arange(50.0)), np.cos(np.arange(50.0)), 0.1)

@@ -244,10 +244,6 @@ _PREDICTOR_VALUES = 1_000_000
 def one_step_residuals(observer: ObserverFit, record: Record) -> FloatArray:
     """e(k) = y(k) - D u(k) - sum_i [alpha_i u(k-i) + beta_i y(k-i)] - offset, in output units.
 
-    Args:
-        observer: fitted to this record or another of the same system.
-        record: with the observer's channels.
-
     Returns:
         (n_samples, n_outputs); NaN where a sample of the row or of the `order` before it is missing, so in the first
         `order` rows.

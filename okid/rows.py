@@ -364,11 +364,6 @@ def whole_record_folds(
 
     The first share `lead` of every record trains, so that its initial state is known when it is held out.
 
-    Args:
-        records: of one system, at least `n_folds` of them.
-        n_folds: records go to the folds in turn.
-        lead: share of each record.
-
     Example:
         >>> record = Record([], np.arange(40.0), 0.1)
         >>> folds = whole_record_folds([record, record, record])

@@ -426,12 +426,7 @@ def range_text(limits: Range) -> str:
 
 
 def blind_part(result: Identification, band: Range) -> str:
-    """Why a mode in the band could have been missed; "" where every part of it was seen.
-
-    Args:
-        result: of `modal.identify`.
-        band: [Hz].
-    """
+    """Why a mode in the band could have been missed; "" where every part of it was seen."""
     nyquist = 0.5 / result.realisation.dt
     if band[1] > nyquist:
         return f"the band reaches above {nyquist:.4g} Hz, half the sampling frequency of the identified record"

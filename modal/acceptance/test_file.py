@@ -251,9 +251,6 @@ class TomlTable:
 def limits_of(table: TomlTable) -> tuple[AcceptanceLimit, ...]:
     """The limits of a test file, in its order.
 
-    Args:
-        table: the whole file.
-
     Raises:
         InvalidDataError: a kind or key that is not known, a value that is missing or none, or more than 1000 of them.
 

@@ -160,11 +160,6 @@ def _step(one: Outcome) -> str:
 def write_tables(outcomes: Sequence[Outcome], places: Sequence[Path], folder: Path) -> None:
     """Write both tables, and the modes without their shapes as CSV; each appears when it is complete.
 
-    Args:
-        outcomes: by name of the record.
-        places: folder of each.
-        folder: of the batch.
-
     Raises:
         InvalidDataError: the folder cannot be written.
         UnreadableFileError: a result that is damaged or gone.
@@ -322,11 +317,6 @@ def _caption(along: str) -> str:
 
 def write_page(outcomes: Sequence[Outcome], modes: Any, folder: Path) -> Path:
     """Write batch.html: one page that needs nothing but itself.
-
-    Args:
-        outcomes: by name of the record.
-        modes: table of all modes.
-        folder: of the batch.
 
     Raises:
         InvalidDataError: the folder cannot be written.

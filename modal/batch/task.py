@@ -261,11 +261,6 @@ def kept_outcome(place: Path) -> Outcome | None:
 def run_unit(unit: Unit, settings: Settings, folder: str) -> Outcome:
     """Identify a record and keep its result; the result of an earlier try is taken as it is.
 
-    Args:
-        unit: what to identify.
-        settings: how.
-        folder: for the folders of all records.
-
     Raises:
         InvalidDataError: the folder cannot be written.
     """

@@ -43,14 +43,7 @@ class TableSize:
 def show_quality(
     console: Console, quality: DataQuality, records: Sequence[Record], *, remarks: Sequence[str] = ()
 ) -> None:
-    """Verdict, table of the channels, findings in words.
-
-    Args:
-        console: to print on.
-        quality: of the records.
-        records: as they were read.
-        remarks: on what was done to their units.
-    """
+    """Verdict, table of the channels, findings in words."""
     console.print()
     console.print(plain(quality.verdict, f"bold {_COLOURS[quality.level]}"))
     console.print(plain(_size(records), "bright_black"))
@@ -165,12 +158,7 @@ def carry_out_check(source: FileSource, json: Path | None) -> DataQuality:
 
 
 def quality_json(quality: DataQuality, records: Sequence[Record]) -> str:
-    """Everything that was found as JSON; what is not known is null. The same records give the same bytes.
-
-    Args:
-        quality: of the records.
-        records: as they were read.
-    """
+    """Everything that was found as JSON; what is not known is null. The same records give the same bytes."""
     document = {
         "level": quality.level,
         "verdict": quality.verdict,

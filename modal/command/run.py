@@ -59,9 +59,6 @@ from okid.record import InputHold, Record
 def read_setup(job: "Job") -> tuple[Specification | None, Geometry | None]:
     """What the test file says and the geometry, once all is refused that can be before the work begins.
 
-    Args:
-        job: what to do.
-
     Raises:
         InvalidDataError: a report that could not be written, or a test file or geometry that is none.
         NoBrowserError: a PDF was asked for, and nothing prints it.
@@ -78,10 +75,6 @@ def read_setup(job: "Job") -> tuple[Specification | None, Geometry | None]:
 def refuse_pdf(pdf: Path, existing: Literal["refuse", "replace"]) -> None:
     """Raise before any work is done when a report could not be printed.
 
-    Args:
-        pdf: file that would be written.
-        existing: "refuse" to touch one that is there, or "replace" it.
-
     Raises:
         InvalidDataError: the file exists already, or its folder cannot be written.
         NoBrowserError: there is no browser that prints.
@@ -96,10 +89,6 @@ def refuse_pdf(pdf: Path, existing: Literal["refuse", "replace"]) -> None:
 
 def refuse_sources(written: Iterable[Path], sources: Iterable[Path]) -> None:
     """Raise where a file that would be written is one that is read: replacing it would lose what was measured.
-
-    Args:
-        written: files that would be written.
-        sources: files that are read.
 
     Raises:
         InvalidDataError: the first such file.

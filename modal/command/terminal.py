@@ -242,12 +242,7 @@ def _number(value: float, form: str) -> str:
 
 @contextlib.contextmanager
 def live_view(*, wanted: bool, tell: Callable[[str], None]) -> Iterator[Any]:
-    """The stream to a viewer for the time of the work; None where none was asked for, or can be had.
-
-    Args:
-        wanted: whether one was asked for.
-        tell: gets one sentence where no viewer can be had.
-    """
+    """The stream to a viewer for the time of the work; None where none was asked for, or can be had."""
     with live_recording(tell=tell) if wanted else contextlib.nullcontext() as recording:
         yield recording
 

@@ -207,12 +207,7 @@ class Matching:
 
 
 def match_modes(before: ResultSummary, after: ResultSummary) -> Matching:
-    """The pairs of least cost among the modes of two results; see the module for the cost.
-
-    Args:
-        before: the one result.
-        after: the other.
-    """
+    """The pairs of least cost among the modes of two results; see the module for the cost."""
     similarity = _assurance(before, after)
     costs = pair_costs(before.modes, after.modes, similarity)
     rows = [index for index, mode in enumerate(before.modes) if mode.verdict != "noise"]

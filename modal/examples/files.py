@@ -85,9 +85,6 @@ def write_files(folder: Path, *, existing: Existing = "refuse") -> tuple[Path, .
         folder: made if it does not exist.
         existing: "refuse" to touch a folder that holds one of the files, or "replace" those files.
 
-    Returns:
-        The paths.
-
     Raises:
         InvalidDataError: a file exists already, or the folder cannot be written.
     """

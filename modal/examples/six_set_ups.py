@@ -56,10 +56,6 @@ def mast() -> LinearStructure:
 def set_ups(rng: np.random.Generator, *, n_samples: int = 1024) -> tuple[Record, ...]:
     """Six records of three accelerometers each, with 2 % noise.
 
-    Args:
-        rng: where forces and noise come from.
-        n_samples: of each record, 64 a second.
-
     Example:
         >>> [record.output_names[-1] for record in set_ups(np.random.default_rng(1), n_samples=64)]
         ['floor_1', 'floor_2', 'floor_3', 'floor_4', 'floor_6', 'floor_7']
@@ -86,11 +82,7 @@ def set_ups(rng: np.random.Generator, *, n_samples: int = 1024) -> tuple[Record,
 
 
 def summary(result: Identification) -> str:
-    """Each mode beside the truth.
-
-    Args:
-        result: of all set-ups together.
-    """
+    """Each mode beside the truth."""
     frequencies, shapes = mast().modes()
     names = result.modes.output_names
     truth = DemoTruth(
@@ -114,9 +106,6 @@ def summary(result: Identification) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Identify the mast from its six set-ups.
-
-    Args:
-        arguments: as in `modal.examples.story.command_line`; the command line's unless given.
 
     Returns:
         0 where all modes were found, 1 otherwise.

@@ -216,9 +216,6 @@ class Placement:
 def turned(shape: ComplexArray) -> ComplexArray:
     """The shape times the phase that makes its real part as large as can be, its largest component positive.
 
-    Args:
-        shape: complex, of any dimensions.
-
     Example:
         >>> turned(np.array([1j, -2j])).round(12).real.tolist()
         [-1.0, 2.0]
@@ -256,11 +253,6 @@ def derivatives_of(output_units: Sequence[str]) -> tuple[int, ...]:
 
 def placed(geometry: Geometry | None, output_names: Sequence[str], output_units: Sequence[str] = ()) -> Placement:
     """Put outputs onto a geometry, or in a row where there is none.
-
-    Args:
-        geometry: nodes and sensors.
-        output_names: of the channels.
-        output_units: of the channels; all alike unless given.
 
     Raises:
         InvalidDataError: a geometry was given, and no output has a place in it.

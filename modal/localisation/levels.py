@@ -505,12 +505,7 @@ def _paired(best: int, fits: Sequence[LevelFit | None], reference: LevelFit, *, 
 
 
 def measured_modes(modes: Sequence[Mode], dt: float) -> list[int]:
-    """Which modes may be the structure's: no faster than the sampling, not heavily damped beside lighter ones.
-
-    Args:
-        modes: of one model.
-        dt: time step [s].
-    """
+    """Which modes may be the structure's: no faster than the sampling, not heavily damped beside lighter ones."""
     light = any(mode.kind == "oscillatory" and mode.damping_ratio <= HEAVY for mode in modes)
     return [
         k

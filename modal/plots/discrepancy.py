@@ -70,11 +70,6 @@ def answer_charts(stages: Sequence[Stage], *, record: int, output: int) -> tuple
     """One output as measured and as simulated, by the model as given and as found, where that as given is worst.
 
     The measured line is the wide one, so that no simulated one hides it.
-
-    Args:
-        stages: states of the model, the earliest first.
-        record: number of the held-out record.
-        output: which.
     """
     measured = stages[0].gap.measured[record]
     window = _worst_moment(stages[0].gap, record)
@@ -100,12 +95,7 @@ def answer_charts(stages: Sequence[Stage], *, record: int, output: int) -> tuple
 
 
 def gap_spectra(stages: Sequence[Stage], *, outputs: Sequence[int] | None = None) -> Chart:
-    """Power spectral density of the gap of each output over that of the measured output, with the noise floor.
-
-    Args:
-        stages: states of the model, the earliest first.
-        outputs: which, all unless given.
-    """
+    """Power spectral density of the gap of each output over that of the measured output, with the noise floor."""
     records = stages[0].gap.measured
     chosen = list(range(records[0].n_outputs)) if outputs is None else list(outputs)
     figure = row_of(len(chosen), most_columns=2, width=STYLE.page, height=2.9)
@@ -157,12 +147,7 @@ def before_and_after(rows: Sequence[Row], stages: Sequence[Stage]) -> Chart:
 
 
 def hypothesis_bars(hypotheses: Sequence[Hypothesis], *, chosen: Hypothesis | None = None) -> Chart:
-    """What each set of effects leaves on held-out data, in times of the noise floor, the best first.
-
-    Args:
-        hypotheses: best first; the first eight are shown.
-        chosen: the one that the diagnosis found.
-    """
+    """What each set of effects leaves on held-out data, in times of the noise floor, the best first."""
     shown = list(hypotheses[:MOST_BARS])
     figure = grid_of(1, 1, size=(STYLE.page, 0.95 + 0.34 * max(len(shown), 1)))
     panel = figure.panels[0]
@@ -248,9 +233,6 @@ def draw_laws(laws: Sequence[LawCurve]) -> Chart:
 
     A law with memory has no single force at a motion: it is drawn as the loop that it ran through along the loudest
     record, and dashed as it loads from rest.
-
-    Args:
-        laws: of the found effects.
     """
     figure = row_of(len(laws), most_columns=2, width=STYLE.page if len(laws) > 1 else 6.4, height=3.6)
     for panel, law in zip(figure.panels, laws, strict=True):
@@ -300,11 +282,7 @@ APART = 0.012
 
 
 def modes_against_level(lines: Sequence[LevelLine]) -> Chart:
-    """Change of each frequency on the left, damping ratio on the right, both with 95 % bars.
-
-    Args:
-        lines: from `modal.sections.discrepancy_stages.level_lines`.
-    """
+    """Change of each frequency on the left, damping ratio on the right, both with 95 % bars."""
     damped = [line for line in lines if np.isfinite(line.damping).any()]
     figure = grid_of(1, 2 if damped else 1, size=(STYLE.page, 3.1))
     for place, line in enumerate(lines):

@@ -186,11 +186,6 @@ def frequencies_in_time(tracks: Sequence[TrackLine], alarms: Sequence[float], *,
     """Frequencies of all modes, and what is left of each without the causes, with the alarms as upright lines.
 
     Where there are alarms, what is left is faint and its means between them stand out: the steps.
-
-    Args:
-        tracks: by frequency.
-        alarms: their times.
-        clock: times are seconds.
     """
     figure = grid_of(2, 1, size=(STYLE.page, 7.0), down=(1.5, 1.0))
     above, below = figure.panels

@@ -149,13 +149,6 @@ def mode_shapes(
     A shape is turned to its best real phase. Without a geometry, and where the names state no nodes, it is a stick
     picture: sensors from bottom to top in their order, deflection to both sides, what is left (imaginary) dotted.
 
-    Args:
-        modes: one a panel.
-        output_names: of the channels.
-        output_units: of the channels; all alike unless given.
-        geometry: where they are.
-        title: above all.
-
     Raises:
         InvalidDataError: no output has a place in the geometry.
     """
@@ -183,10 +176,6 @@ def mode_shapes(
 
 def geometry_picture(geometry: Geometry, *, output_names: Sequence[str] = ()) -> Chart:
     """The structure at rest: nodes with their names, lines, surfaces, and an arrow for each sensor.
-
-    Args:
-        geometry: what to draw.
-        output_names: channels whose sensors are drawn; those of the geometry's own sensors unless given.
 
     Raises:
         InvalidDataError: output names were given, and none of them has a place in the geometry.

@@ -52,9 +52,6 @@ class Band:
 def coherent_band(records: Sequence[Record]) -> Band:
     """The band in which at least one output follows the inputs.
 
-    Args:
-        records: of one system, means removed.
-
     Example:
         >>> force = np.random.default_rng(0).standard_normal(2000)
         >>> band = coherent_band([Record(force, 2.0 * force, 0.01)])

@@ -146,12 +146,7 @@ class Channel:
 
 
 def channels_of(records: Sequence[Record], scaling: ChannelScaling) -> Iterator[Channel]:
-    """Inputs, then outputs, one after the other; a few neighbours are copied at a time, so a mapped file stays there.
-
-    Args:
-        records: of one system.
-        scaling: their means and sizes.
-    """
+    """Inputs, then outputs, one after the other; a few neighbours are copied at a time: a mapped file stays there."""
     longest = sum(record.n_samples for record in records)
     step = max(1, min(8, _GROUP_VALUES // longest))
     first = records[0]

@@ -133,10 +133,6 @@ class FreedTrials:
 def choose_drift(records: Sequence[Record], *, trials: FreedTrials | None = None) -> Drift:
     """The fewest slow functions that are needed beside a model's free run on held-out rows.
 
-    Args:
-        records: of one system, no input missing.
-        trials: of the same records, for a caller who has made some of these models.
-
     Example:
         >>> rng = np.random.default_rng(0)
         >>> force = rng.standard_normal(2000)

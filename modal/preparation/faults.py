@@ -103,9 +103,6 @@ def no_finer_than_sensors(records: Sequence[Record]) -> tuple[tuple[Record, ...]
     What fewer forces drive than there are sensors, or forces behind a steep filter, has combinations without any
     innovation once there is no noise: no model with noise is likely then, and one that fits rounding is sure of it all.
 
-    Args:
-        records: without inputs.
-
     Example:
         >>> tip = np.convolve(np.random.default_rng(0).standard_normal(4000), [1.0, 1.6, 1.5, 0.8])
         >>> noisy, choices = no_finer_than_sensors([Record([], np.column_stack([tip, 2.0 * tip]), 0.01)])
@@ -223,11 +220,7 @@ def _spikes(
 
 
 def spoiled_channels(records: Record | Sequence[Record]) -> tuple[Finding, ...]:
-    """What `modal.check_quality` finds of dead, clipped and spiked channels, without the price of spectra.
-
-    Args:
-        records: one record or several of one system.
-    """
+    """What `modal.check_quality` finds of dead, clipped and spiked channels, without the price of spectra."""
     several = as_records(records)
     n = len(several)
     findings: list[Finding] = []

@@ -56,9 +56,6 @@ class Filling:
 def fill_where_needed(records: Sequence[Record]) -> Filling:
     """Fill missing outputs where they would leave too few whole rows; else leave them missing, which loses nothing.
 
-    Args:
-        records: of one system, means removed, no input missing.
-
     Example:
         >>> rng = np.random.default_rng(0)
         >>> force = rng.standard_normal((800, 1))

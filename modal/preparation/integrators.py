@@ -58,10 +58,6 @@ def choose_integrators(records: Sequence[Record], *, trials: FreedTrials | None 
     otherwise be found; the mean square of what the free run leaves of slow motion on held-out rows decides. Nothing
     else is asked where the model of the records as they are leaves no motion that lasts, and forgets.
 
-    Args:
-        records: of one system, no input missing.
-        trials: of the same records, for a caller who goes on with the models that are made here.
-
     Example:
         >>> push = np.random.default_rng(0).standard_normal(2000)
         >>> level = np.cumsum(push)

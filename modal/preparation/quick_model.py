@@ -58,9 +58,6 @@ class QuickModel:
 def quick_model(records: Sequence[Record]) -> QuickModel | None:
     """The model of records without missing samples and with channels of like size; None where none is stable.
 
-    Args:
-        records: of one system with inputs.
-
     Example:
         >>> force = np.random.default_rng(0).standard_normal(600)
         >>> quick_model([Record(force, np.convolve(force, [0.0, 1.0, 0.5])[:600], 0.01)]).error < 0.01

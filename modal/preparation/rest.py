@@ -127,9 +127,6 @@ def _about_rest(record: Record, first: int) -> Record:
 def with_rest(records: Sequence[Record]) -> Rested:
     """Rows of rest in front of each record that begins at rest; records about their level.
 
-    Args:
-        records: struck once or a few times, no input missing.
-
     Example:
         >>> blow = np.r_[0.0, 1.0, np.zeros(198)]
         >>> found = with_rest([Record(blow, np.convolve(blow, 0.9 ** np.arange(200))[:200], 0.01)])

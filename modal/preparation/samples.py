@@ -280,10 +280,6 @@ def gap_findings(records: Sequence[Record]) -> list[Finding]:
 def length_findings(records: Sequence[Record], *, has_coherence: bool) -> list[Finding]:
     """Too few samples for the smallest observer, or for the coherence of inputs and outputs.
 
-    Args:
-        records: of one system.
-        has_coherence: whether their coherence could be estimated.
-
     Example:
         >>> [finding.level for finding in length_findings([Record([], [0.0, 1.0, 0.0], 0.1)], has_coherence=False)]
         ['bad']

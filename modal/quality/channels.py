@@ -140,11 +140,7 @@ def alias_findings(record: Record, frequencies: FloatArray, densities: FloatArra
 
 
 def period_findings(records: Sequence[Record]) -> list[Finding]:
-    """Output-only records that hold few periods of their strongest motion.
-
-    Args:
-        records: without inputs; of others nothing is said, whose slow motion may be the inputs' doing.
-    """
+    """Output-only records that hold few periods of their strongest motion."""
     longest = max(records, key=lambda record: record.n_samples)
     if longest.n_inputs or longest.n_samples < BLOCK:
         return []
@@ -245,14 +241,7 @@ def mains_lines(channel: Channel) -> HumLines:
 
 
 def hum_findings(channel: Channel, lines: HumLines, inputs: Sequence[HumLines], n_records: int) -> list[Finding]:
-    """Lines of an output that no input holds.
-
-    Args:
-        channel: an output.
-        lines: of it.
-        inputs: of the inputs.
-        n_records: number of records.
-    """
+    """Lines of an output that no input holds."""
     if channel.role == "input" or channel.std == 0.0:
         return []
     stands_out = -np.log2(FALSE_ALARM)
@@ -347,11 +336,7 @@ def is_steady(channel: Channel) -> bool:
 
 
 def block_levels(parts: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
-    """(10,) root mean square about each block's mean, a record of some length; nan for a block without a sample.
-
-    Args:
-        parts: (n_samples,) a record.
-    """
+    """(10,) root mean square about each block's mean, a record of some length; nan for a block without a sample."""
     levels = []
     for part in parts:
         if part.size < FEWEST_ROWS:
@@ -367,13 +352,7 @@ def block_levels(parts: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
 
 
 def level_findings(channel: Channel, inputs_steady: Sequence[bool], n_records: int) -> list[Finding]:
-    """An output whose level changes several times while every input's does not.
-
-    Args:
-        channel: an output.
-        inputs_steady: whether each input is steady.
-        n_records: number of records.
-    """
+    """An output whose level changes several times while every input's does not."""
     if channel.role == "input" or channel.std == 0.0 or not inputs_steady or not all(inputs_steady):
         return []
     for number, levels in enumerate(block_levels(channel.parts)):
@@ -422,11 +401,7 @@ def _spread(levels: FloatArray) -> float:
 
 
 def drift_findings(records: Sequence[Record]) -> list[Finding]:
-    """Outputs that drift, by the longest record thinned to 6000 rows; none where an input is missing somewhere.
-
-    Args:
-        records: of one system.
-    """
+    """Outputs that drift, by the longest record thinned to 6000 rows; none where an input is missing somewhere."""
     longest = max(records, key=lambda record: record.n_samples)
     if longest.n_inputs == 0 or longest.n_samples < FEWEST_ROWS or np.isnan(longest.inputs).any():
         return []

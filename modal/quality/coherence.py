@@ -103,9 +103,6 @@ def best_pulse(record: Record) -> tuple[FloatArray, FloatArray] | None:
 
     What is left counts more by as much as the fitted numbers took of it.
 
-    Args:
-        record: means removed, nothing missing.
-
     Returns:
         (n_samples, n_outputs, n_inputs) and (n_outputs,); None where every response diverges or a channel is constant.
     """
@@ -187,9 +184,6 @@ def modelled_share(records: Sequence[Record]) -> FloatArray:
 
     The pulse response is that of a long observer fitted to at most 6000 whole rows of the longest record; what is left
     counts more by as much as the fitted numbers took of it.
-
-    Args:
-        records: of one system.
 
     Returns:
         nan where too few rows are whole, the output or every input is constant, or the pulse response diverges.

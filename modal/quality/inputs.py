@@ -169,11 +169,7 @@ def _undriven(record: Record, spectra: AveragedSpectra, frf: MeasuredFrf) -> lis
 
 
 def copy_findings(records: Sequence[Record]) -> list[Finding]:
-    """Pairs with an output of which one is a multiple of the other; copies among inputs the excitation check names.
-
-    Args:
-        records: of one system.
-    """
+    """Pairs with an output of which one is a multiple of the other; copies among inputs the excitation check names."""
     values = _some_rows(records)
     if len(values) < 8:
         return []

@@ -75,12 +75,7 @@ class Relay:
     """
 
     def __init__(self, host: str, port: int) -> None:
-        """Listen; the other side is called when somebody calls here.
-
-        Args:
-            host: of the other side.
-            port: of the other side.
-        """
+        """Listen; the other side is called when somebody calls here."""
         self._other = (host, port)
         self._listening = socket.create_server(("127.0.0.1", 0))
         self._sockets = [self._listening]
@@ -277,13 +272,7 @@ def live_recording(
 
 
 def log_records(records: Sequence[Record], live: LiveRecording | None, *, quality: "DataQuality | None" = None) -> None:
-    """The page "Record", as soon as the records are read.
-
-    Args:
-        records: as read.
-        live: from `live_recording`.
-        quality: of the records; found here unless given.
-    """
+    """The page "Record", as soon as the records are read."""
 
     def log(recording: LiveRecording) -> None:
         plan = planned_data(records, root=READ)
@@ -329,14 +318,7 @@ def log_result(
     geometry: "Geometry | None" = None,
     quality: "DataQuality | None" = None,
 ) -> None:
-    """All pages, in place of what was shown while the work went on.
-
-    Args:
-        identification: from `modal.identify`.
-        live: from `live_recording`.
-        geometry: where the sensors are.
-        quality: of the records as read.
-    """
+    """All pages, in place of what was shown while the work went on."""
     _attempt(
         live, lambda recording: log_identification(identification, recording.stream, geometry=geometry, quality=quality)
     )
@@ -344,11 +326,7 @@ def log_result(
 
 @contextmanager
 def estimate_recording(path: Path) -> Iterator["rerun.RecordingStream"]:
-    """A recording of windowed modes in a file, readable while it grows.
-
-    Args:
-        path: of the file.
-    """
+    """A recording of windowed modes in a file, readable while it grows."""
     import rerun as rr
 
     stream = rr.RecordingStream(APPLICATION, recording_id=f"live-{secrets.token_hex(8)}")
@@ -363,14 +341,7 @@ def estimate_recording(path: Path) -> Iterator["rerun.RecordingStream"]:
 def log_estimate(
     time_in_middle: float, modes: ModalModel, warnings_of_it: Sequence[str], stream: "rerun.RecordingStream"
 ) -> None:
-    """The oscillatory modes of one window against time: frequencies, damping ratios, and what must be said of it.
-
-    Args:
-        time_in_middle: of the window [s].
-        modes: of the window.
-        warnings_of_it: a sentence each.
-        stream: of `live_recording` or `estimate_recording`.
-    """
+    """The oscillatory modes of one window against time: frequencies, damping ratios, and what must be said of it."""
     import rerun as rr
 
     seen = [mode for mode in modes if mode.kind == "oscillatory"]

@@ -191,10 +191,6 @@ class Plan:
 def planned(identification: Identification, geometry: "Geometry | None" = None) -> Plan:
     """The plan for one identification.
 
-    Args:
-        identification: what will be recorded.
-        geometry: where the sensors are.
-
     Raises:
         InvalidDataError: the records reach further than the time axis of a recording does.
     """
@@ -306,12 +302,7 @@ class Gathered:
 
 
 def gather(identification: Identification, quality: DataQuality | None = None) -> Gathered:
-    """Look at the records of an identification.
-
-    Args:
-        identification: whose records.
-        quality: of the records as they were read; unless given, that of the records as used is found.
-    """
+    """Look at the records of an identification."""
     fine_frequencies, step = np.zeros(0), 1
     fine: ComplexArray = np.zeros((0, 0, 0), dtype=np.complex128)
     # a pole on the unit circle and squares of 1e200 give what is no number, and is left out of every picture

@@ -25,12 +25,6 @@ RECORDS: Final = "batch/records"
 def save_batch_recording(names: Sequence[str], modes: Any, records: Any, path: Path) -> Path:
     """Write the recording of a batch; the same tables give the same recording.
 
-    Args:
-        names: of all records in the order of the tables.
-        modes: table of `modal.identify_batch`.
-        records: likewise.
-        path: of the file, replaced if it is there.
-
     Raises:
         OSError: the file cannot be written.
     """

@@ -297,19 +297,7 @@ def log_series(
     width: float = 1.2,
     interpolation: Interpolation = "Linear",
 ) -> None:
-    """One channel of all records as one entity.
-
-    Args:
-        recording: the stream.
-        path: its entity.
-        times: from `time_axis`.
-        channels: the channel's samples in each record, nan where missing.
-        plan: of the recording.
-        name: as it reads in the legend.
-        colour: of the line.
-        width: of the line, in points.
-        interpolation: "StepAfter" for an input that was held between samples.
-    """
+    """One channel of all records as one entity."""
     line = Line(channels=channels, name=name, colour=colour, width=width)
     log_lines(recording, path, times, [line], plan=plan, interpolation=interpolation)
 
@@ -327,14 +315,6 @@ def log_lines(
 
     Where they do not miss the same samples they become an entity each, below `path`: a row holds all of its channels
     or none.
-
-    Args:
-        recording: the stream.
-        path: their entity.
-        times: from `time_axis`.
-        lines: the channels.
-        plan: of the recording.
-        interpolation: "StepAfter" for an input that was held between samples.
     """
     import rerun as rr
 

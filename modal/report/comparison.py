@@ -154,11 +154,6 @@ def write_comparison(
 ) -> ComparisonFiles:
     """Write a comparison into a folder, all files or none; the same comparison gives the same bytes.
 
-    Args:
-        comparison: of `modal.comparison.changes.compare_results`.
-        folder: made if it does not exist.
-        existing: "refuse" to touch a folder that holds one of the files, or "replace" those files.
-
     Raises:
         InvalidDataError: a file exists already, or the folder cannot be written.
     """

@@ -148,15 +148,6 @@ def write_diagnosis(
 ) -> DiagnosisFiles:
     """Write HTML, Markdown, JSON, CSV, the Rerun recording and the updated model, all of them or none.
 
-    Args:
-        diagnosis: of `modal.discrepancy.diagnose`.
-        folder: made if it does not exist.
-        existing: "refuse" to touch a folder that holds one of the files, or "replace" those files.
-        provenance: command and sources, for the part on how to make the result again.
-
-    Returns:
-        The paths.
-
     Raises:
         InvalidDataError: a file of the report exists already, or the folder cannot be written.
     """

@@ -138,9 +138,6 @@ def scratch_folder(parent: Path) -> Iterator[Path]:
     """A folder to work in, gone when the block ends; those that dead runs have left beside it go first.
 
     Who works in a folder holds a lock on it, which the system lets go when the process ends in whatever way.
-
-    Args:
-        parent: where to make it.
     """
     sweep(parent)
     while True:

@@ -66,9 +66,6 @@ def schema_file() -> Path:
 def type_schema(hint: Any) -> dict[str, Any]:
     """The schema of what JSON holds for a value of a type.
 
-    Args:
-        hint: a type as it stands in a field of a frozen dataclass.
-
     Raises:
         TypeError: a type that no result has.
 
@@ -265,13 +262,7 @@ _MODE_NUMBERS = tuple(
 
 
 def json_text(result: Identification, provenance: Provenance, *, specification: Specification | None = None) -> str:
-    """The result without its time histories and its `LARGE` arrays; nan is null, a complex number is [real, imaginary].
-
-    Args:
-        result: of `modal.identify`.
-        provenance: where it comes from.
-        specification: of the test; the outcomes of its limits are among the numbers.
-    """
+    """The result without time histories and `LARGE` arrays; nan is null, a complex number is [real, imaginary]."""
     judgement = trust_of(result)
     document = {
         "schema": SCHEMA,

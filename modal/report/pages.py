@@ -76,12 +76,7 @@ def placement_of(result: Identification, setting: Setting) -> Placement:
 
 
 def moving_shapes(result: Identification, setting: Setting) -> "Markup | str":
-    """Nodes, lines and deflections as JSON without any letter that could end a tag; "" where there is nothing to move.
-
-    Args:
-        result: of `modal.identify`.
-        setting: with the geometry, if there is one.
-    """
+    """Nodes, lines and deflections as JSON without any letter that could end a tag; "" where nothing is to move."""
     from markupsafe import Markup
 
     placement = placement_of(result, setting)
@@ -226,15 +221,7 @@ def html_text(
     *,
     beside: str = "",
 ) -> str:
-    """One page that needs nothing but itself.
-
-    Args:
-        result: of `modal.identify`.
-        provenance: command and files.
-        pictures: of `draw_pictures`.
-        setting: what is known besides the result.
-        beside: the other files of the report, in words.
-    """
+    """One page that needs nothing but itself."""
     drawn = {name: inline(picture) for name, picture in pictures.items()}
     script, script_hash = page_script()
     template = environment(html=True).get_template("report.html.j2")

@@ -58,14 +58,7 @@ def drawn(figure: Chart, name: str, caption: str) -> Picture:
 
 
 def readable(figure: Chart, name: str, caption: str, *, notes: Mapping[str, Notes] | None = None) -> Picture:
-    """A picture that a script can read values off and whose lines it can hide.
-
-    Args:
-        figure: of `modal.plots`.
-        name: of the picture in its page.
-        caption: what there is to see.
-        notes: more on the points of the lines with these labels.
-    """
+    """A picture that a script can read values off and whose lines it can hide."""
     svg = svg_text(figure, name=name, description=caption)
     return Picture(svg=svg, caption=caption, chart=chart_text(figure, name, notes=notes))
 
@@ -133,14 +126,7 @@ def setting_of(
     specification: "Specification | None" = None,
     quality: "DataQuality | None" = None,
 ) -> Setting:
-    """Look at the data, and hold the result against the limits.
-
-    Args:
-        result: of `modal.identify`.
-        geometry: of the structure; that of the specification unless given.
-        specification: what the test file says.
-        quality: of the records as they were read; the records as used are looked at unless given.
-    """
+    """Look at the data, and hold the result against the limits."""
     known = specification.geometry if specification is not None and geometry is None else geometry
     return Setting(
         specification=specification,

@@ -52,12 +52,7 @@ class NodePlan:
 
 
 def node_plan(output_names: Sequence[str], geometry: Geometry | None) -> NodePlan:
-    """Nodes of the geometry, or those that the names of the outputs state.
-
-    Args:
-        output_names: of the channels.
-        geometry: None where there is none.
-    """
+    """Nodes of the geometry, or those that the names of the outputs state."""
     nodes = geometry or _named_nodes(output_names)
     motions = motion_of(nodes, nodes.sensors if geometry is None else nodes.sensors_of(output_names))
     n_outputs, n_lost = len(output_names), len(output_names) - len(motions.used)

@@ -200,11 +200,7 @@ class GapDensity:
 
 
 def gap_density(gaps: Sequence[Gap]) -> GapDensity:
-    """Densities by Welch's method with windows of a quarter of the longest record.
-
-    Args:
-        gaps: of the states of the model, on the same records; at least one.
-    """
+    """Densities by Welch's method with windows of a quarter of the longest record."""
     records = gaps[0].measured
     n_segment = int(np.clip(max(record.n_samples for record in records) // 4, 64, 4096))
     frequency, measured = power_spectra(records, n_segment=n_segment)
@@ -248,9 +244,6 @@ class LevelLine:
 
 def level_lines(diagnosis: Diagnosis) -> tuple[LevelLine, ...]:
     """The modes of the records to fit that are known to move with level, or known to stay.
-
-    Args:
-        diagnosis: whose location has modes against level.
 
     Returns:
         None where measurement and simulation agree anyway, or no mode is known well enough.

@@ -109,9 +109,6 @@ def drive_of(records: Sequence[Record], upsampling: int = 1, *, reference: float
         records: Records of one time step, of the same channels.
         upsampling: Steps of the simulation per sample.
         reference: Size of inputs that counts as level 1; by default the root mean square over these records.
-
-    Returns:
-        The drive.
     """
     levels = np.array([_level(record) for record in records])
     against = max(float(np.sqrt(np.mean(levels**2))), SILENT) if reference is None else reference
@@ -199,11 +196,6 @@ MOST_STEPS = 6
 
 def steps_per_sample(plant: Plant, linear: FloatArray, records: Sequence[Record]) -> int:
     """Steps a sample, so that every resonance below the Nyquist frequency gets enough steps a period.
-
-    Args:
-        plant: The plant.
-        linear: Values of its linear parameters.
-        records: Records to simulate, of one time step.
 
     Returns:
         1 to 6.

@@ -98,10 +98,6 @@ def with_channel_names(model: StructuralModel, record: Record) -> StructuralMode
 
     Places are then called as the person who measured calls them ("tip" rather than "output_1"), as those of a state
     space are. Names that an element bears already, or that belong to another number of channels, are left alone.
-
-    Args:
-        model: With its own names, or with "input_0", "output_0" and so on for those that were not given.
-        record: With names.
     """
     taken = {element.name for element in model.elements} | {f"dof_{i}" for i in range(model.n_dofs)}
     new: dict[str, str] = {}

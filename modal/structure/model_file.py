@@ -389,10 +389,6 @@ def _model_of(
 ) -> "StructuralModel | PlantModel":
     """The model that a table of plain values describes.
 
-    Args:
-        document: As read from a file.
-        catalogue: What holds the effects.
-
     Raises:
         InvalidDataError: A key that is missing or not known, or a value that the model refuses.
     """

@@ -547,10 +547,6 @@ def _caption(tracks: Tracks) -> str:
 def write_tracks(tracks: Tracks, folder: Path) -> tuple[Path, Path]:
     """Write tracks.html and tracks.parquet (the table of modes with a column "track").
 
-    Args:
-        tracks: of `track`.
-        folder: that exists.
-
     Raises:
         InvalidDataError: the folder cannot be written.
     """

@@ -50,10 +50,6 @@ DISK_SHARE = 0.5
 def table_of_channels(channels: Sequence[Mapping[str, Any]], *, path: Path) -> Table:
     """The table of time series as SEP 005 of SDyPy hands them on: data, name, unit_str, and fs or time each.
 
-    Args:
-        channels: one a time series.
-        path: where they are from, for messages.
-
     Raises:
         UnreadableFileError: a series without data, name, or fs and time, or series of different lengths or times.
     """

@@ -135,9 +135,6 @@ class FileDescription:
 def describe_file(path: str | Path) -> FileDescription:
     """What a file holds and what `read_record` makes of its units.
 
-    Args:
-        path: the file.
-
     Raises:
         UnreadableFileError: the file cannot be read.
         InvalidDataError: its time column is no uniform grid.
@@ -147,10 +144,6 @@ def describe_file(path: str | Path) -> FileDescription:
 
 def describe_table(table: Table, *, dt: float | None = None) -> FileDescription:
     """The description of a table that has been read already.
-
-    Args:
-        table: of one file.
-        dt: time step that the caller gives [s]; None to take the file's.
 
     Raises:
         InvalidDataError: its time column is no uniform grid, and no time step is given.

@@ -44,10 +44,6 @@ class Damage(Exception):  # noqa: N818 - it never leaves the boundary
 def foreign(path: Path, kind: str) -> Iterator[None]:
     """The boundary around a format's library: whatever it raises becomes one sentence, and its warnings are not shown.
 
-    Args:
-        path: of the file.
-        kind: of file, in words.
-
     Raises:
         UnreadableFileError: the library, or one of our own types at what it gave, raised an error.
     """
@@ -167,11 +163,6 @@ def first_line(error: Exception) -> str:
 
 def optional_package(module: str, path: Path, *, extra: str = "formats") -> ModuleType:
     """Import an optional library, or say which command installs it.
-
-    Args:
-        module: its name.
-        path: of the file that needs it.
-        extra: of our package that brings it.
 
     Raises:
         UnreadableFileError: the library is not installed.

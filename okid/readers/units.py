@@ -292,10 +292,6 @@ def unit_error(gain: float, std: float) -> str:
     the n candidates with the probability n 4 (std / gain) / (2 ln 1e4). Only where that is small does closeness mean
     anything.
 
-    Args:
-        gain: found for a channel; its sign does not matter.
-        std: its standard deviation.
-
     Example:
         >>> unit_error(9.79, 0.02)
         'a factor of 9.80665: g taken for m/s^2, or kilogram-force for newton'

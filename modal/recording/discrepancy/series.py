@@ -72,9 +72,6 @@ class DiscrepancyPlan:
 def planned_diagnosis(diagnosis: Diagnosis) -> DiscrepancyPlan:
     """The plan for one diagnosis.
 
-    Args:
-        diagnosis: what will be recorded.
-
     Raises:
         InvalidDataError: the records reach further than the time axis of a recording does.
     """

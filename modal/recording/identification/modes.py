@@ -72,13 +72,7 @@ def _cells(n_shapes: int) -> tuple[int, int, float]:
 
 
 def log_complexity(recording: "rerun.RecordingStream", plan: Plan, record: Record | FrequencyResponse) -> None:
-    """One circle for each shape that is drawn, with collinearity and phase deviation in numbers and words.
-
-    Args:
-        recording: the stream.
-        plan: of the recording.
-        record: whose outputs they are.
-    """
+    """One circle for each shape that is drawn, with collinearity and phase deviation in numbers and words."""
     pane, radius = complexity_pane(len(plan.shapes)), _cells(len(plan.shapes))[2]
     centres = _centres(len(plan.shapes), pane)
     circle = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 65))
@@ -175,13 +169,7 @@ HEAD: Final = (
 
 
 def modes_text(identification: Identification, plan: Plan, placement: Placement | None) -> str:
-    """The table of all modes, noise included, with every indicator, the verdict and its reason.
-
-    Args:
-        identification: whose modes.
-        plan: their numbers.
-        placement: of the outputs on the structure, where shapes are drawn.
-    """
+    """The table of all modes, noise included, with every indicator, the verdict and its reason."""
     rows = [_row(number, mode) for number, mode in enumerate(plan.modes, start=1)]
     parts = [table(*_with_content(HEAD, rows)) if rows else "The model has no mode."]
     parts.append(_key(identification, plan))

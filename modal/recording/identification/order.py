@@ -102,14 +102,7 @@ def _pole_colours(points: Sequence[StabilisationPoint], evidence: OrderEvidence)
 
 
 def mark_orders(recording: "rerun.RecordingStream", pane: Pane, panel: Panel, evidence: OrderEvidence) -> None:
-    """On "model_order", a white dot on the plotted value of each order, and none at an order without a value.
-
-    Args:
-        recording: the stream.
-        pane: of the plot.
-        panel: where orders stand along, and values as dots.
-        evidence: whose orders.
-    """
+    """On "model_order", a white dot on the plotted value of each order, and none at an order without a value."""
     import rerun as rr
 
     at = np.array(orders_of(evidence), dtype=np.int64)

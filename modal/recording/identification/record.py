@@ -43,12 +43,7 @@ class RecordLimits:
 
 
 def quality_text(quality: DataQuality, records: Sequence[Record]) -> str:
-    """What the data are good for, before any model.
-
-    Args:
-        quality: of the records.
-        records: the same.
-    """
+    """What the data are good for, before any model."""
     first = records[0]
     n_samples = sum(record.n_samples for record in records)
     seconds = sum(record.n_samples * record.dt for record in records)
@@ -126,14 +121,7 @@ def marked(quality: DataQuality) -> list[tuple[int, Finding]]:
 def log_record_page(
     records: Sequence[Record], recording: "rerun.RecordingStream", plan: DataPlan, quality: DataQuality
 ) -> None:
-    """Every measured channel over time, where each record stands, spectra and coherence, the quality in words.
-
-    Args:
-        records: what was measured.
-        recording: the stream.
-        plan: of these records.
-        quality: of these records.
-    """
+    """Every measured channel over time, where each record stands, spectra and coherence, the quality in words."""
     import rerun as rr
 
     _log_channels(records, recording, plan)

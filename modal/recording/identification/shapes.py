@@ -92,12 +92,7 @@ def shape_path(number: int) -> str:
 
 
 def pace_of(scene: Scene, n_shapes: int) -> Pace:
-    """The finest motion within the budget.
-
-    Args:
-        scene: the structure.
-        n_shapes: number of modes that are drawn.
-    """
+    """The finest motion within the budget."""
     room = Swinging.MOST_POINTS // (
         Swinging.FEWEST_PERIODS * Swinging.FEWEST_FRAMES * max(n_shapes, 1)
     )  # points a picture, at the least
@@ -130,15 +125,7 @@ def measured_nodes(scene: Scene) -> list[int]:
 
 
 def log_shape(mode: Mode, number: int, recording: "rerun.RecordingStream", plan: Plan, scene: Scene) -> None:
-    """One mode: the structure at rest, the envelope, and the motion over the whole of the timeline.
-
-    Args:
-        mode: whose shape.
-        number: its number in the plan.
-        recording: the stream.
-        plan: of the recording.
-        scene: the structure.
-    """
+    """One mode: the structure at rest, the envelope, and the motion over the whole of the timeline."""
     path = shape_path(number)
     pace = pace_of(scene, len(plan.shapes))
     motion = scene.motion(mode)
