@@ -6,6 +6,7 @@ Labels are as large as the viewer makes them and never stand on end: what an axi
 the key, whose words have the colours of what they name.
 """
 
+import importlib
 import math
 import re
 import unicodedata
@@ -22,6 +23,20 @@ from okid.arrays import FloatArray
 
 if TYPE_CHECKING:
     import rerun
+
+
+class _Later:
+    """A library that is imported when something of it is first used: whoever only checks data never pays for rerun."""
+
+    def __init__(self, library: str) -> None:
+        self._library = library
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(importlib.import_module(self._library), name)
+
+
+rr: Any = _Later("rerun")
+rrb: Any = _Later("rerun.blueprint")
 
 DRAWN: Final = (
     *((0x20, 0x7E), (0xA0, 0xAC), (0xAE, 0x148), (0x14A, 0x17F), (0x218, 0x21B)),  # Latin
@@ -290,8 +305,6 @@ def _words(panel: Panel) -> Iterator[Said]:
 
 
 def _log_words(recording: "rerun.RecordingStream", path: str, said: Sequence[Said]) -> None:
-    import rerun as rr
-
     if not said:
         return
     labels = rr.Points2D(
@@ -340,8 +353,6 @@ def _is_inside(panel: Panel, points: FloatArray) -> npt.NDArray[np.bool_]:
 
 def _log_dots(recording: "rerun.RecordingStream", path: str, panel: Panel, curve: Curve, order: float) -> None:
     """The dots within the panel; where the pointer rests on one, its numbers show."""
-    import rerun as rr
-
     shown = curve.corners[_is_inside(panel, curve.corners)]
     if not len(shown):
         return
@@ -360,8 +371,6 @@ def _log_dots(recording: "rerun.RecordingStream", path: str, panel: Panel, curve
 
 def _log_area(recording: "rerun.RecordingStream", path: str, panel: Panel, area: Area, order: float) -> None:
     """An opaque box as strokes side by side; of a band with a name the rim, since the view cannot fill a polygon."""
-    import rerun as rr
-
     rims = [seen_at(panel, *polygon.T) for polygon in area.polygons if len(polygon)]
     if area.opacity < 1.0 and not area.label:
         return
@@ -390,8 +399,6 @@ def _strips(
     width: float = STYLE.thin,
     order: float,
 ) -> None:
-    import rerun as rr
-
     if strips:
         radius = rr.Radius.ui_points(Drawing.ENLARGED * width / 2)
         lines = rr.LineStrips2D(strips, radii=radius, colors=colour, draw_order=order)
@@ -406,8 +413,6 @@ def _names(marks: Sequence[Mark]) -> list[str]:
 
 def series_view(origin: str, name: str, contents: Sequence[str], *, legend: bool = True) -> Any:
     """The view of series over time, linked with all others."""
-    import rerun.blueprint as rrb
-
     return rrb.TimeSeriesView(
         origin=origin,
         contents=[f"+ {path if path.startswith('$') else '/' + path}" for path in contents],
@@ -419,8 +424,6 @@ def series_view(origin: str, name: str, contents: Sequence[str], *, legend: bool
 
 def plot_view(pane: Pane, name: str) -> Any:
     """The view of a drawn plot, in the shape of its pane."""
-    import rerun.blueprint as rrb
-
     return rrb.Spatial2DView(
         origin=pane.path,
         name=name,
@@ -431,6 +434,4 @@ def plot_view(pane: Pane, name: str) -> Any:
 
 def document_view(path: str, name: str) -> Any:
     """The view of words."""
-    import rerun.blueprint as rrb
-
     return rrb.TextDocumentView(origin=path, name=name)

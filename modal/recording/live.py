@@ -34,7 +34,7 @@ from modal.identification.result import Identification
 from modal.modes.mode import ModalModel
 from modal.quality.check import check_quality
 from modal.quality.findings import DataQuality
-from modal.recording.figure import document_view
+from modal.recording.figure import document_view, rr, rrb
 from modal.recording.identification.record import log_record_page, record_page
 from modal.recording.plan import DataPlan, cell, label, planned_data
 from modal.recording.stream import APPLICATION, log_identification, show_whole_record, strict_errors, whole_blueprint
@@ -51,8 +51,6 @@ if TYPE_CHECKING:
 
 def live_blueprint(records: Sequence[Record], plan: DataPlan, quality: DataQuality) -> "rerun.blueprint.Blueprint":
     """The records, and what the work is at."""
-    import rerun.blueprint as rrb
-
     record = record_page(records, plan, quality)
     show_whole_record(record, plan)
     progress = rrb.Horizontal(
@@ -296,8 +294,6 @@ def log_progress(live: LiveRecording | None, what: str, share: float) -> None:
     """
 
     def log(recording: LiveRecording) -> None:
-        import rerun as rr
-
         seconds = round(time.perf_counter() - recording.began, 3)
         if not recording.steps or recording.steps[-1][1] != what:
             recording.steps.append((seconds, what))
@@ -327,8 +323,6 @@ def log_result(
 @contextmanager
 def estimate_recording(path: Path) -> Iterator["rerun.RecordingStream"]:
     """A recording of windowed modes in a file, readable while it grows."""
-    import rerun as rr
-
     stream = rr.RecordingStream(APPLICATION, recording_id=f"live-{secrets.token_hex(8)}")
     stream.set_log_time_enabled(False)
     stream.save(path)
@@ -342,8 +336,6 @@ def log_estimate(
     time_in_middle: float, modes: ModalModel, warnings_of_it: Sequence[str], stream: "rerun.RecordingStream"
 ) -> None:
     """The oscillatory modes of one window against time: frequencies, damping ratios, and what must be said of it."""
-    import rerun as rr
-
     seen = [mode for mode in modes if mode.kind == "oscillatory"]
     stream.set_time("time", duration=time_in_middle)
     for path, values in (
@@ -360,8 +352,6 @@ def log_estimate(
 
 def _log_steps(live: LiveRecording, *, share: float = 0.0) -> None:
     """The steps so far as one text, which shows whatever timeline is in front."""
-    import rerun as rr
-
     done = "■" * round(24 * min(max(share, 0.0), 1.0))  # in Rerun's own fonts, as few of its kind are
     now = cell(live.steps[-1][1]) if live.steps else "reading"
     lines = [f"- {seconds:.1f} s: {cell(what)}" for seconds, what in live.steps]
@@ -396,8 +386,6 @@ def _opened(host: str, port: int, *, may_spawn: bool, tell: Callable[[str], None
     if not speaks(host, port):
         tell(f"What listens at {host}:{port} does not answer as a Rerun viewer would. Going on without a live view.")
         return None
-    import rerun as rr
-
     stream = rr.RecordingStream(APPLICATION, recording_id=f"live-{secrets.token_hex(8)}")
     stream.set_log_time_enabled(False)  # its timelines are "time" and "work"
     wire = Relay(host, port)

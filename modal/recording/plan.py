@@ -20,7 +20,7 @@ from modal.modes.mode import Mode, numbered
 from modal.modes.response_synthesis import MeasuredFrf, frf, measured_frf
 from modal.quality.check import check_quality
 from modal.quality.findings import DataQuality
-from modal.recording.figure import drawable
+from modal.recording.figure import drawable, rr
 from modal.recording.series import StoredStretch, laid_out, row_budget, stored_levels
 from modal.wording.text import escape_markdown, shorten
 from okid.arrays import ComplexArray, FloatArray
@@ -74,14 +74,12 @@ def path_parts(names: Sequence[str]) -> tuple[str, ...]:
         >>> path_parts(["tip", "", " ", "a/b", "__secret"])
         ('tip', 'unnamed', 'unnamed_2', 'a\\/b', 'name__secret')
     """
-    import rerun
-
     parts: list[str] = []
     for index, name in enumerate(names):
         part = label(name, longest=len(name) + len("unnamed"))[:LONGEST_PART]
         if part.startswith("__"):  # reserved by Rerun for its own entities
             part = "name" + part
-        escaped = rerun.escape_entity_path_part(part)
+        escaped = rr.escape_entity_path_part(part)
         while escaped in parts:
             escaped = f"{escaped}_{index}"
         parts.append(escaped)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from modal.plots.histories import frequencies_of_records, places_of_records
-from modal.recording.figure import Pane, document_view, log_chart, plot_view
+from modal.recording.figure import Pane, document_view, log_chart, plot_view, rr, rrb
 from modal.recording.plan import cell
 from modal.recording.stream import write_stream
 from modal.recording.tables import WordLimits, bullets, log_table, table
@@ -44,9 +44,6 @@ def save_batch_recording(names: Sequence[str], modes: Any, records: Any, path: P
     digest.update(frequency.tobytes() + deviation.tobytes())
 
     def log(recording: "rerun.RecordingStream") -> None:
-        import rerun as rr
-        import rerun.blueprint as rrb
-
         chart = frequencies_of_records(places[row], frequency, verdicts, along=label)
         log_chart(recording, FREQUENCIES, chart)
         log_table(

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Final, Literal, Protocol
 
 import numpy as np
 
-from modal.recording.figure import Colour
+from modal.recording.figure import Colour, rr
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 from okid.record import Record
@@ -316,8 +316,6 @@ def log_lines(
     Where they do not miss the same samples they become an entity each, below `path`: a row holds all of its channels
     or none.
     """
-    import rerun as rr
-
     values = np.column_stack([_stored(line.channels, plan) for line in lines])
     there = ~np.isnan(values)
     if len(lines) > 1 and (there != there[:, :1]).any():
@@ -367,8 +365,6 @@ def log_sequence(
         values: (n, n_series).
         names: of the series.
     """
-    import rerun as rr
-
     recording.send_columns(
         path,
         [rr.TimeColumn(timeline, sequence=np.asarray(index, dtype=np.int64))],

@@ -32,7 +32,7 @@ from modal.recording.discrepancy.page import (
     spectrum_pane,
 )
 from modal.recording.discrepancy.series import DiscrepancyPlan, diagnosis_tables, planned_diagnosis
-from modal.recording.figure import document_view, plot_view, series_view
+from modal.recording.figure import document_view, plot_view, rr, rrb, series_view
 from modal.recording.identification.fit import fit_page, log_fit_page, log_response_page, response_page
 from modal.recording.identification.modes import log_modes_page, modes_page
 from modal.recording.identification.order import ORDER_FIT, ORDER_TEXT, SINGULAR_VALUES, STABILISATION, log_order_page
@@ -68,8 +68,6 @@ def blueprint(identification: Identification, plan: Plan, evidence: Gathered) ->
 
 def whole_blueprint(pages: Sequence[Any], plan: Span) -> "rerun.blueprint.Blueprint":
     """The pages as tabs on the timeline "time", paused at its start, everything else out of the way."""
-    import rerun.blueprint as rrb
-
     speed = max(plan.stop - plan.start, 1e-6) / (Swinging.PERIODS * SECONDS_A_PERIOD)
     return rrb.Blueprint(
         rrb.Tabs(*pages, active_tab=0),
@@ -102,8 +100,6 @@ def _pages(identification: Identification, plan: Plan, evidence: Gathered) -> li
 
 def show_whole_record(page: Any, plan: Span) -> None:
     """Let all linked views open on the whole timeline: their common range is kept with one view of a fixed identity."""
-    import rerun.blueprint as rrb
-
     views = [page]
     while not isinstance(views[0], rrb.TimeSeriesView):
         views = [*views[0].contents, *views[1:]] if isinstance(views[0], rrb.api.Container) else views[1:]
@@ -115,8 +111,6 @@ def show_whole_record(page: Any, plan: Span) -> None:
 
 
 def _order_page(identification: Identification) -> Any:
-    import rerun.blueprint as rrb
-
     left: list[Any] = [plot_view(SINGULAR_VALUES, "Hankel singular values")]
     if identification.order_evidence.candidate_orders.size:
         left.append(plot_view(ORDER_FIT, "Fit against order"))
@@ -137,8 +131,6 @@ SECONDS_A_STEP = 1.5
 
 def diagnosis_blueprint(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> "rerun.blueprint.Blueprint":
     """The whole layout for one diagnosis."""
-    import rerun.blueprint as rrb
-
     pages = [_discrepancy_page(diagnosis, plan)]
     if plan.step_gaps:
         pages.append(_steps_page(diagnosis, plan))
@@ -168,8 +160,6 @@ def diagnosis_blueprint(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> "rerun.b
 
 def _discrepancy_page(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> Any:
     """Gap over time on the whole width; below it spectrum, hypotheses, verdict."""
-    import rerun.blueprint as rrb
-
     outputs = _in_front(plan)
     above = [_gap_view(diagnosis, plan, output) for output in outputs]
     verdict = document_view(VERDICT_TEXT, "Verdict")
@@ -185,8 +175,6 @@ def _discrepancy_page(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> Any:
 
 
 def _steps_page(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> Any:
-    import rerun.blueprint as rrb
-
     name = label(diagnosis.held_out[0].output_names[plan.output])
     below = rrb.Horizontal(
         plot_view(STEP_SPECTRUM, f"Spectrum of the gap of {name}"),
@@ -200,8 +188,6 @@ def _steps_page(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> Any:
 
 
 def _law_page(diagnosis: Diagnosis) -> Any:
-    import rerun.blueprint as rrb
-
     words = document_view(LAW_TEXT, "Findings")
     views = [plot_view(pane, law_title(law)) for pane, law in zip(law_panes(diagnosis), diagnosis.laws, strict=False)]
     if not views:
@@ -212,15 +198,11 @@ def _law_page(diagnosis: Diagnosis) -> Any:
 
 def _levels_page(diagnosis: Diagnosis) -> list[Any]:
     """Modes against level, where they tell something; else no page."""
-    import rerun.blueprint as rrb
-
     known = bool(level_lines(diagnosis))
     return [rrb.Vertical(plot_view(LEVELS, "Modes against level"), name="Levels")] if known else []
 
 
 def _outputs_page(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> Any:
-    import rerun.blueprint as rrb
-
     first = diagnosis.held_out[0]
     views = [
         series_view(
@@ -234,8 +216,6 @@ def _outputs_page(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> Any:
 
 
 def _numbers_page(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> Any:
-    import rerun.blueprint as rrb
-
     views = []
     for table in diagnosis_tables(diagnosis, plan):
         columns = [table.timeline, *(f"/{table.path}:{name}" for name in table.columns)]
@@ -260,8 +240,6 @@ def _spectrum_name(diagnosis: Diagnosis, output: int) -> str:
 
 
 def _tabs(views: list[Any], name: str) -> Any:
-    import rerun.blueprint as rrb
-
     return rrb.Tabs(*views, active_tab=0, name=name) if len(views) > 1 else views[0]
 
 
@@ -421,8 +399,6 @@ def write_stream(
     Raises:
         OSError: the file cannot be written.
     """
-    import rerun as rr
-
     recording = rr.RecordingStream(APPLICATION, recording_id=identity)
     recording.set_log_time_enabled(False)
     memory = recording.memory_recording()
@@ -493,8 +469,6 @@ def _check_free(target: Path, existing: Literal["refuse", "replace"]) -> None:
 @contextmanager
 def strict_errors() -> Iterator[None]:
     """Errors of the SDK raise instead of leaving data out with a warning; the caller's setting comes back after."""
-    import rerun as rr
-
     before = rr.strict_mode()
     rr.set_strict_mode(True)
     try:

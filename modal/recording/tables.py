@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from modal.identification.result import Identification
+from modal.recording.figure import rr
 from modal.recording.plan import Plan, Views, cell
 from modal.sections.words import data_sentences, modes_headline
 
@@ -37,8 +38,6 @@ def log_table(
         columns: by name, n_rows values each: numbers, words, or sequences of numbers for a list in each cell; an array
             (n_rows, n) is the same, quick, and a row of it that is nan throughout is left out.
     """
-    import rerun as rr
-
     rows = np.asarray(index, dtype=np.int64)
     if not rows.size:
         return
@@ -59,7 +58,6 @@ def log_table(
 def _lists(name: str, values: npt.NDArray[np.float64]) -> list[object]:
     """A list of numbers in each cell, none where nothing is known; in Arrow's form, so that Rerun need not look."""
     import pyarrow as pa
-    import rerun as rr
 
     there = ~np.isnan(values).all(axis=1)
     if not there.any() or not values.shape[1]:

@@ -16,7 +16,7 @@ from modal.plots.layout import grid_of
 from modal.plots.panels import STYLE
 from modal.plots.responses import density_label
 from modal.recording.discrepancy.series import DiscrepancyPlan, log_histories, log_tables, stage_part
-from modal.recording.figure import Palette, Pane, log_chart, seen_at
+from modal.recording.figure import Palette, Pane, log_chart, rr, seen_at
 from modal.recording.plan import cell, label, name_with_unit
 from modal.recording.series import TIMELINE, bucket_length, positions, reduced
 from modal.recording.tables import UNKNOWN, WordLimits, bullets, log_table, table
@@ -176,8 +176,6 @@ def law_panes(diagnosis: Diagnosis) -> tuple[Pane, ...]:
 
 def log_discrepancy_page(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
     """Series, spectra, hypotheses, laws, words and tables."""
-    import rerun as rr
-
     log_histories(diagnosis, recording, plan)
     log_tables(diagnosis, recording, plan)
     _log_spectra(diagnosis, recording, plan)
@@ -254,8 +252,6 @@ STEP_TEXT: Final = "discrepancy/steps/text"
 
 def log_steps_page(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
     """Frames once, and what changes once a step; nothing where no step ran through."""
-    import rerun as rr
-
     if not plan.step_gaps:
         return
     _draw_gap(diagnosis, recording, plan)
@@ -338,8 +334,6 @@ def _play_lines(
     width: float = 1.0,
 ) -> None:
     """One row of line strips a step: orange on the way, green at the last."""
-    import rerun as rr
-
     counts = [len(strips) for strips in frames]
     last = len(frames) - 1
     colours = [Palette.GREEN if k == last else Palette.ORANGE for k, count in enumerate(counts) for _ in range(count)]
@@ -359,8 +353,6 @@ def _known(strip: FloatArray) -> FloatArray:
 
 
 def _send(recording: "rerun.RecordingStream", path: str, plan: DiscrepancyPlan, columns: Any) -> None:
-    import rerun as rr
-
     index = [
         rr.TimeColumn(STEP, sequence=list(plan.step_numbers)),
         rr.TimeColumn(TIMELINE, duration=list(plan.step_times)),

@@ -14,7 +14,7 @@ import numpy as np
 from modal.discrepancy.results import Diagnosis
 from modal.localisation.gap import Gap
 from modal.plots.discrepancy import STAGE_ROLES
-from modal.recording.figure import COLOURS, Palette
+from modal.recording.figure import COLOURS, Palette, rr
 from modal.recording.plan import Views, name_with_unit, path_parts
 from modal.recording.series import TIMELINE, StoredStretch, laid_out, log_series, row_budget, stored_levels, time_axis
 from modal.recording.tables import log_table
@@ -210,8 +210,6 @@ def _log_noise(
     diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan, *, output: int, path: str
 ) -> None:
     """Two deviations of the noise to either side, a straight line over each record."""
-    import rerun as rr
-
     variance = np.asarray(diagnosis.noise_floor.variance)[len(diagnosis.fit) :, output]
     for side, word in ((1.0, "upper"), (-1.0, "lower")):
         times: list[float] = []

@@ -14,7 +14,7 @@ from modal.plots.histories import residual_autocorrelation
 from modal.plots.layout import grid_of
 from modal.plots.panels import IN_TURN, STYLE
 from modal.plots.results import measured_responses
-from modal.recording.figure import Colour, Palette, Pane, document_view, log_chart, plot_view, series_view
+from modal.recording.figure import Colour, Palette, Pane, document_view, log_chart, plot_view, rr, rrb, series_view
 from modal.recording.plan import DataPlan, Plan, Views, cell, label, name_with_unit
 from modal.recording.series import Line, log_lines, log_sequence, time_axis
 from modal.recording.tables import choices_text, fit_page_text, log_table
@@ -42,8 +42,6 @@ DRAWN_PAIRS: Final = 4
 
 def log_fit_page(identification: Identification, recording: "rerun.RecordingStream", plan: Plan) -> None:
     """Predicted and simulated outputs with their residuals, fit table, Markov parameters, whiteness."""
-    import rerun as rr
-
     times = time_axis(identification.records, plan.data)
     for output, path in enumerate(plan.fit_paths):
         _log_output(identification, recording, plan, times=times, output=output, path=path)
@@ -145,8 +143,6 @@ DETAILED_OUTPUTS: Final = 4
 
 def fit_page(identification: Identification, plan: Plan) -> Any:
     """Series to the left, a tab for all outputs and one for each; words, Markov parameters, whiteness to the right."""
-    import rerun.blueprint as rrb
-
     left: list[Any] = [_everything(identification, plan)]
     if len(plan.data.shown_outputs) > 1:
         left += [_one_output(identification, plan, i) for i in plan.data.shown_outputs]
@@ -182,8 +178,6 @@ def run_view(identification: Identification, plan: Plan, output: int, *, legend:
 
 def _everything(identification: Identification, plan: Plan) -> Any:
     """Inputs over all outputs: a few with their windows, many in two columns."""
-    import rerun.blueprint as rrb
-
     outputs = plan.data.shown_outputs
     if len(outputs) == 1:
         return _one_output(identification, plan, 0)
@@ -202,8 +196,6 @@ def _everything(identification: Identification, plan: Plan) -> Any:
 
 
 def _one_output(identification: Identification, plan: Plan, output: int) -> Any:
-    import rerun.blueprint as rrb
-
     rows = [*inputs_view(plan.data), run_view(identification, plan, output), _window(identification, plan, output)]
     shares = [0.7, 1.2, 1.8][-len(rows) :]
     return rrb.Vertical(*rows, row_shares=shares, name=label(_name(identification, output), 18))
@@ -211,8 +203,6 @@ def _one_output(identification: Identification, plan: Plan, output: int) -> Any:
 
 def _window(identification: Identification, plan: Plan, output: int) -> Any:
     """The same close by: a window that follows the cursor."""
-    import rerun.blueprint as rrb
-
     at = rrb.TimeRangeBoundary
     ends = (at.cursor_relative(seconds=-0.15 * plan.window), at.cursor_relative(seconds=0.85 * plan.window))
     title = f"{label(_name(identification, output))} at the cursor, measured and simulated"
@@ -234,8 +224,6 @@ def log_response_page(
     identification: Identification, response: "FrequencyResponse", recording: "rerun.RecordingStream"
 ) -> None:
     """The responses with the model over them, and what was found and chosen in words."""
-    import rerun as rr
-
     log_chart(recording, RESPONSES, measured_responses(identification, tabled_frf(response)))
     flat = response.response.reshape(response.n_lines, -1)
     columns: dict[str, Iterable[object]] = {
@@ -253,7 +241,5 @@ def log_response_page(
 
 def response_page() -> Any:
     """The page: responses on the left, words on the right."""
-    import rerun.blueprint as rrb
-
     views = plot_view(RESPONSES, "Measured and synthesised"), document_view(TEXT, "Found and chosen")
     return rrb.Horizontal(*views, column_shares=[2.2, 1.0], name="Responses")

@@ -28,7 +28,7 @@ from modal.identification.result import Identification
 from modal.identification.words import damping_text
 from modal.modes.mode import Mode
 from modal.modes.shape_comparison import assurance
-from modal.recording.figure import Palette, Pane, document_view, plot_view
+from modal.recording.figure import Palette, Pane, document_view, plot_view, rr, rrb
 from modal.recording.identification.shapes import log_shape, shape_path
 from modal.recording.plan import Plan, cell, label
 from modal.recording.tables import UNKNOWN, bullets, choices_text, log_table, table
@@ -125,15 +125,11 @@ def _strips(
     *,
     order: float,
 ) -> None:
-    import rerun as rr
-
     lines = rr.LineStrips2D(strips, radii=rr.Radius.ui_points(width), colors=colour, draw_order=order)
     recording.log(f"{COMPLEXITY}/{name}", lines, static=True, strict=True)
 
 
 def _points(recording: "rerun.RecordingStream", name: str, places: FloatArray, texts: list[str]) -> None:
-    import rerun as rr
-
     points = rr.Points2D(
         places,
         radii=rr.Radius.ui_points(2.6),
@@ -146,8 +142,6 @@ def _points(recording: "rerun.RecordingStream", name: str, places: FloatArray, t
 
 
 def _texts(recording: "rerun.RecordingStream", name: str, places: FloatArray, texts: list[str]) -> None:
-    import rerun as rr
-
     points = rr.Points2D(
         places,  # a label hangs below its point
         radii=rr.Radius.ui_points(0.0),
@@ -315,8 +309,6 @@ def log_modes_page(identification: Identification, recording: "rerun.RecordingSt
     Raises:
         InvalidDataError: a geometry is given, and no output has a place in it.
     """
-    import rerun as rr
-
     placement = placement_in(identification, plan)
     if plan.shapes:
         scene = scene_of(placement)
@@ -375,8 +367,6 @@ def _log_geometry(
 
 
 def _log_assurance(identification: Identification, recording: "rerun.RecordingStream", plan: Plan) -> None:
-    import rerun as rr
-
     modes = [plan.modes[number - 1] for number in plan.shapes]
     first = identification.channels
     shapes = comparable_shapes(modes, first.output_names, first.output_units)
@@ -407,8 +397,6 @@ def _short(value: float) -> str:
 def _log_texts(
     recording: "rerun.RecordingStream", path: str, places: FloatArray, texts: list[str], n: int, *, show: bool
 ) -> None:
-    import rerun as rr
-
     # a label hangs below its point: about 18 points on the screen, of about 400 for the whole matrix
     points = rr.Points2D(
         places - [0.0, 0.045 * n],
@@ -439,8 +427,6 @@ class ShapePanes:
 
 def modes_page(identification: Identification, plan: Plan) -> Any:
     """Shapes beside their assurance and complexity, over the table in words and in numbers."""
-    import rerun.blueprint as rrb
-
     words: list[Any] = [document_view(MODES_TEXT, "Mode table"), document_view(CHOICES_TEXT, "Choices and warnings")]
     if plan.modes:
         columns = ["mode", *(f"/{MODES_TABLE}:{name}" for name in FIELDS)]
@@ -488,8 +474,6 @@ def _pane(n_views: int, n_columns: int) -> tuple[float, float]:
 
 
 def _shape(plan: Plan, number: int, eye: Any) -> Any:
-    import rerun.blueprint as rrb
-
     mode = plan.modes[number - 1]
     resolved = mode.damping_resolved and mode.kind != "real"
     damping = ratio_text(mode.damping_ratio) if resolved else damping_text(mode).replace("not", "damping not")
@@ -510,8 +494,6 @@ def _eye(scene: Scene, points: FloatArray, aspect: float) -> Any:
 
     At a distance D a point of depth z is seen at (x - x0) / (D - z); the aim x0 is moved until what is seen is centred.
     """
-    import rerun.blueprint as rrb
-
     eye = scene.eye
     seen = eye.seen(points)
     middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
@@ -528,8 +510,6 @@ def _eye(scene: Scene, points: FloatArray, aspect: float) -> Any:
 
 
 def _assurance(n_modes: int) -> Any:
-    import rerun.blueprint as rrb
-
     margin = 0.16 * n_modes
     return rrb.Spatial2DView(
         origin=ASSURANCE,

@@ -17,7 +17,7 @@ from modal.identification.result import Identification, OrderEvidence
 from modal.modes.response_synthesis import frf
 from modal.plots.order import POLE_ROLES, colour_measure, order_fits, singular_values, stabilisation_diagram
 from modal.plots.panels import STYLE, Curve, Panel
-from modal.recording.figure import Palette, Pane, colour_of, log_chart, seen_at
+from modal.recording.figure import Palette, Pane, colour_of, log_chart, rr, seen_at
 from modal.recording.plan import Plan
 from modal.recording.series import TIMELINE
 from modal.recording.tables import UNKNOWN, log_table, table
@@ -56,8 +56,6 @@ def orders_of(evidence: OrderEvidence) -> list[int]:
 
 def log_poles(recording: "rerun.RecordingStream", panel: Panel, evidence: OrderEvidence, plan: Plan) -> None:
     """All poles on "time"; on "model_order" those of the orders below, and those of the order in front of them."""
-    import rerun as rr
-
     low, high = panel.x.limits or (0.0, np.inf)
     points = sorted(evidence.stabilisation, key=lambda point: point.order)
     points = [point for point in points if low <= point.frequency <= high]
@@ -103,8 +101,6 @@ def _pole_colours(points: Sequence[StabilisationPoint], evidence: OrderEvidence)
 
 def mark_orders(recording: "rerun.RecordingStream", pane: Pane, panel: Panel, evidence: OrderEvidence) -> None:
     """On "model_order", a white dot on the plotted value of each order, and none at an order without a value."""
-    import rerun as rr
-
     at = np.array(orders_of(evidence), dtype=np.int64)
     values = {x: y for line in panel.lines if line.dot for x, y in line.corners.tolist()}
     heights = np.array([values.get(order, np.nan) for order in at.tolist()])
@@ -121,8 +117,6 @@ def mark_orders(recording: "rerun.RecordingStream", pane: Pane, panel: Panel, ev
 
 def log_order_texts(evidence: OrderEvidence, recording: "rerun.RecordingStream", plan: Plan) -> None:
     """What each order has, in words: on "model_order" all of them, on "time" the one chosen."""
-    import rerun as rr
-
     orders = orders_of(evidence) or [evidence.order]
     for timeline, shown in ((MODEL_ORDER, orders), (TIMELINE, [evidence.order])):
         texts = [order_text(evidence, order) for order in shown]

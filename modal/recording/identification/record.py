@@ -14,7 +14,18 @@ from modal.plots.panels import IN_TURN, STYLE
 from modal.plots.responses import density_label
 from modal.preparation.channel import Finding
 from modal.quality.findings import DataQuality
-from modal.recording.figure import COLOURS, Colour, Palette, Pane, document_view, log_chart, plot_view, series_view
+from modal.recording.figure import (
+    COLOURS,
+    Colour,
+    Palette,
+    Pane,
+    document_view,
+    log_chart,
+    plot_view,
+    rr,
+    rrb,
+    series_view,
+)
 from modal.recording.identification.fit import inputs_view
 from modal.recording.plan import DataPlan, Views, cell, label, name_with_unit
 from modal.recording.series import TIMELINE, log_series, time_axis
@@ -122,8 +133,6 @@ def log_record_page(
     records: Sequence[Record], recording: "rerun.RecordingStream", plan: DataPlan, quality: DataQuality
 ) -> None:
     """Every measured channel over time, where each record stands, spectra and coherence, the quality in words."""
-    import rerun as rr
-
     _log_channels(records, recording, plan)
     _log_places(records, recording, plan)
     document = rr.TextDocument(quality_text(quality, records), media_type=rr.MediaType.MARKDOWN)
@@ -203,8 +212,6 @@ def _log_marks(
 
     A bar is at least so long that it is seen; the table "quality/findings" has the times themselves.
     """
-    import rerun as rr
-
     shortest = RecordLimits.SHORTEST_MARK * (plan.stop - plan.start)
 
     for row, (number, finding) in enumerate(marked(quality), start=1):
@@ -274,8 +281,6 @@ def _density_unit(quality: DataQuality, role: str) -> str:
 
 def record_page(records: Sequence[Record], plan: DataPlan, quality: DataQuality) -> Any:
     """Inputs, findings on the time axis, outputs; to the right the quality in words over spectra and coherence."""
-    import rerun.blueprint as rrb
-
     rows = inputs_view(plan)
     shares = [1.0] * len(rows)
     marks = marked(quality)
@@ -298,8 +303,6 @@ def _columns(plan: DataPlan) -> int:
 
 
 def _outputs(records: Sequence[Record], plan: DataPlan) -> Any:
-    import rerun.blueprint as rrb
-
     first = records[0]
     views = []
     for i in plan.shown_outputs:
@@ -314,15 +317,11 @@ def _outputs(records: Sequence[Record], plan: DataPlan) -> Any:
 
 def _thin(output: int) -> Any:
     """The style on this page: the colour that the output has in the spectra, and a thin line."""
-    import rerun as rr
-
     colour = COLOURS[IN_TURN[output % len(IN_TURN)]]
     return rr.SeriesLines.from_fields(colors=colour, widths=1.0, aggregation_policy="MinMax")
 
 
 def _marks_view(plan: DataPlan, n_marks: int) -> Any:
-    import rerun.blueprint as rrb
-
     view = series_view(marks_path(plan), "What was found, and when", ["$origin/**"])
     view.properties["ScalarAxis"] = rrb.ScalarAxis(range=(-n_marks - 0.7, -0.3), zoom_lock=True)
     return view

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from modal.geometry.scene import Scene, envelope_of
 from modal.modes.mode import Mode
-from modal.recording.figure import Palette
+from modal.recording.figure import Palette, rr
 from modal.recording.plan import Plan, label
 from modal.recording.series import TIMELINE
 from okid.arrays import ComplexArray, FloatArray
@@ -144,8 +144,6 @@ def log_shape(mode: Mode, number: int, recording: "rerun.RecordingStream", plan:
 
 def _log_structure(path: str, recording: "rerun.RecordingStream", scene: Scene, *, named: bool) -> None:
     """What stands still: lines, nodes with their names, fixed nodes, which way the sensors look."""
-    import rerun as rr
-
     rest, geometry = scene.positions, scene.placement.geometry
     segments = scene.drawn_segments(Still.SEGMENTS)
     if len(segments):
@@ -182,8 +180,6 @@ def _log_envelope(
     path: str, recording: "rerun.RecordingStream", scene: Scene, pace: Pace, furthest: FloatArray
 ) -> None:
     """Both ends of the motion; nodes on no line show the stretch on which they move."""
-    import rerun as rr
-
     rest = scene.positions
     strips = [(rest + sign * furthest)[pace.segments] for sign in (1.0, -1.0) if len(pace.segments)]
     alone = np.setdiff1d(np.flatnonzero(scene.moving), scene.segments)
@@ -200,8 +196,6 @@ def _log_envelope(
 def _log_motion(
     path: str, recording: "rerun.RecordingStream", scene: Scene, pace: Pace, *, times: FloatArray, moving: _Moving
 ) -> None:
-    import rerun as rr
-
     index = [rr.TimeColumn(TIMELINE, duration=times)]
     n_frames = len(times)
     if len(pace.segments):
@@ -235,8 +229,6 @@ def _send_strips(
     width: float,
 ) -> None:
     """Strips (n_frames, n_strips, n_places, 3), as many in every frame."""
-    import rerun as rr
-
     n_frames, n_strips, n_places, _ = strips.shape
     columns = rr.LineStrips3D.columns(strips=strips.reshape(-1, n_places, 3)).partition([n_strips] * n_frames)
     recording.send_columns(path, index, columns, strict=True)
@@ -245,8 +237,6 @@ def _send_strips(
 
 
 def _log_surface(path: str, recording: "rerun.RecordingStream", index: object, scene: Scene, moving: _Moving) -> None:
-    import rerun as rr
-
     corners, triangles = np.unique(scene.triangles, return_inverse=True)
     moved = moving.at(corners)
     columns = rr.Mesh3D.columns(vertex_positions=moved.reshape(-1, 3)).partition([len(corners)] * len(moved))

@@ -14,7 +14,7 @@ from modal.identification.result import Identification
 from modal.plots.layout import grid_of
 from modal.plots.panels import STYLE, Panel
 from modal.plots.responses import density_label
-from modal.recording.figure import Pane, document_view, log_chart, plot_view, series_view
+from modal.recording.figure import Pane, document_view, log_chart, plot_view, rr, rrb, series_view
 from modal.recording.identification.fit import run_view
 from modal.recording.plan import Gathered, Plan, Views, cell, label
 from modal.recording.tables import UNKNOWN, WordLimits, log_table, table
@@ -163,8 +163,6 @@ def log_validation_page(
     identification: Identification, recording: "rerun.RecordingStream", plan: Plan, evidence: Gathered
 ) -> None:
     """Responses or spectra of the shown outputs as pictures, those of all as numbers, and what they say."""
-    import rerun as rr
-
     document = rr.TextDocument(validation_text(identification, evidence), media_type=rr.MediaType.MARKDOWN)
     recording.log(VALIDATION_TEXT, document, static=True, strict=True)
     _log_responses(recording, plan, evidence)
@@ -317,8 +315,6 @@ def _phase(values: ComplexArray) -> FloatArray:
 
 def validation_page(identification: Identification, plan: Plan, evidence: Gathered) -> Any:
     """All outputs over frequency, then each over time and frequency; the words to the right."""
-    import rerun.blueprint as rrb
-
     outputs = plan.data.shown_outputs
     tabs = [_one_output(identification, plan, evidence, i) for i in outputs]
     if len(outputs) > 1:
@@ -329,8 +325,6 @@ def validation_page(identification: Identification, plan: Plan, evidence: Gather
 
 
 def _everything(identification: Identification, plan: Plan, evidence: Gathered) -> Any:
-    import rerun.blueprint as rrb
-
     views = [_overview(identification, plan, evidence, i) for i in plan.data.shown_outputs]
     return rrb.Grid(*views, grid_columns=overview_columns(len(views)), name="All outputs")
 
@@ -348,8 +342,6 @@ def _overview(identification: Identification, plan: Plan, evidence: Gathered, ou
 
 def _one_output(identification: Identification, plan: Plan, evidence: Gathered, output: int) -> Any:
     """Over time to the left, with what is left over; over frequency to the right, a tab an input."""
-    import rerun.blueprint as rrb
-
     name = label(_output(identification, output), 18)
     series = rrb.Vertical(
         run_view(identification, plan, output),
