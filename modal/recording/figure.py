@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from modal.plots.layout import Chart
+from modal.plots.layout import Chart, grid_of
 from modal.plots.panels import STYLE, Area, Curve, Mark, Panel, Role, Scale, Segments, Tick, runs
 from okid.arrays import FloatArray
 
@@ -179,6 +179,12 @@ def log_chart(recording: "rerun.RecordingStream", pane: Pane, chart: Chart, *, b
         for place, (name, mark) in enumerate(zip(_names(panel.marks), panel.marks, strict=True)):
             _log_mark(recording, f"{path}/{name}", panel, mark, behind + place)
         _log_words(recording, path, [*_ticks(panel), *_head(panel, lines), *_words(panel)])
+
+
+def one_panel() -> tuple[Chart, Panel]:
+    """A chart of one panel, and the panel; `log_chart` gives it the shape of its pane."""
+    chart = grid_of(1, 1, size=(STYLE.page, STYLE.page))
+    return chart, chart.panels[0]
 
 
 def seen_at(panel: Panel, x: npt.ArrayLike, y: npt.ArrayLike) -> FloatArray:
@@ -430,6 +436,11 @@ def plot_view(pane: Pane, name: str) -> Any:
         background=rrb.Background(Palette.BACKGROUND),
         visual_bounds=rrb.VisualBounds2D(x_range=(0.0, pane.width), y_range=(0.0, pane.height)),
     )
+
+
+def tabs(views: Sequence[Any], name: str) -> Any:
+    """A tab for each view, the first in front; a single view needs none."""
+    return rrb.Tabs(*views, active_tab=0, name=name) if len(views) > 1 else views[0]
 
 
 def document_view(path: str, name: str) -> Any:

@@ -38,6 +38,7 @@ from modal.recording.figure import document_view, rr, rrb
 from modal.recording.identification.record import log_record_page, record_page
 from modal.recording.plan import DataPlan, cell, label, planned_data
 from modal.recording.stream import APPLICATION, log_identification, show_whole_record, strict_errors, whole_blueprint
+from modal.recording.tables import log_text
 from okid.errors import IdentificationWarning, InvalidDataError
 from okid.record import Record
 
@@ -357,7 +358,7 @@ def _log_steps(live: LiveRecording, *, share: float = 0.0) -> None:
     lines = [f"- {seconds:.1f} s: {cell(what)}" for seconds, what in live.steps]
     bar = f"`{done}{'□' * (24 - len(done))}` {100 * share:.0f} %"
     text = "\n\n".join([f"### {now}", bar, "\n".join(lines)])
-    live.stream.log(PROGRESS_TEXT, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+    log_text(live.stream, PROGRESS_TEXT, text)
 
 
 def _attempt(live: LiveRecording | None, log: Callable[[LiveRecording], None]) -> None:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from modal.plots.histories import frequencies_of_records, places_of_records
-from modal.recording.figure import Pane, document_view, log_chart, plot_view, rr, rrb
+from modal.recording.figure import Pane, document_view, log_chart, plot_view, rrb
 from modal.recording.plan import cell
 from modal.recording.stream import write_stream
-from modal.recording.tables import WordLimits, bullets, log_table, table
+from modal.recording.tables import WordLimits, bullets, log_table, log_text, table
 
 if TYPE_CHECKING:
     import rerun
@@ -62,7 +62,7 @@ def save_batch_recording(names: Sequence[str], modes: Any, records: Any, path: P
         )
         told = {name: records.column(name).to_pylist() for name in ("record", "path", "hash", "status", "message")}
         log_table(recording, RECORDS, "record_row", np.arange(len(names)), told)
-        recording.log(WORDS, rr.TextDocument(_words(told), media_type="text/markdown"), static=True)
+        log_text(recording, WORDS, _words(told))
         views = [plot_view(FREQUENCIES, "Frequencies"), document_view(WORDS, "Records")]
         for entity, timeline in ((MODES, "mode_row"), (RECORDS, "record_row")):
             query = rrb.archetypes.DataframeQuery(timeline=timeline)

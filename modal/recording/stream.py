@@ -32,7 +32,7 @@ from modal.recording.discrepancy.page import (
     spectrum_pane,
 )
 from modal.recording.discrepancy.series import DiscrepancyPlan, diagnosis_tables, planned_diagnosis
-from modal.recording.figure import document_view, plot_view, rr, rrb, series_view
+from modal.recording.figure import document_view, plot_view, rr, rrb, series_view, tabs
 from modal.recording.identification.fit import fit_page, log_fit_page, log_response_page, response_page
 from modal.recording.identification.modes import log_modes_page, modes_page
 from modal.recording.identification.order import ORDER_FIT, ORDER_TEXT, SINGULAR_VALUES, STABILISATION, log_order_page
@@ -57,7 +57,7 @@ GLOBAL_AXIS: Final = uuid.UUID("5c0dca6a-e63f-9cf7-f657-2602590474cc")
 """The view whose time range all linked views share, by its fixed identity in Rerun's viewer (`GLOBAL_VIEW_ID`)."""
 
 SECONDS_A_PERIOD: Final = 2.0
-ORDERS_A_SECOND: Final = 4.0
+SECONDS_AN_ORDER: Final = 0.25
 """Play the oscillating shapes and the growing order so fast."""
 
 
@@ -66,9 +66,22 @@ def blueprint(identification: Identification, plan: Plan, evidence: Gathered) ->
     return whole_blueprint(_pages(identification, plan, evidence), plan)
 
 
-def whole_blueprint(pages: Sequence[Any], plan: Span) -> "rerun.blueprint.Blueprint":
-    """The pages as tabs on the timeline "time", paused at its start, everything else out of the way."""
-    speed = max(plan.stop - plan.start, 1e-6) / (Swinging.PERIODS * SECONDS_A_PERIOD)
+def whole_blueprint(
+    pages: Sequence[Any],
+    plan: Span,
+    *,
+    length: float = Swinging.PERIODS * SECONDS_A_PERIOD,
+    a_place: float = SECONDS_AN_ORDER,
+) -> "rerun.blueprint.Blueprint":
+    """The pages as tabs on the timeline "time", paused at its start, everything else out of the way.
+
+    Args:
+        pages: in their order.
+        plan: of the recording.
+        length: seconds in which "time" plays from its start to its end.
+        a_place: seconds for each place of the timeline that counts ("model_order", "step"): the speed holds there too.
+    """
+    speed = max(plan.stop - plan.start, 1e-6) / length
     return rrb.Blueprint(
         rrb.Tabs(*pages, active_tab=0),
         rrb.TimePanel(
@@ -77,7 +90,7 @@ def whole_blueprint(pages: Sequence[Any], plan: Span) -> "rerun.blueprint.Bluepr
             play_state="paused",
             loop_mode="all",
             playback_speed=speed,
-            fps=ORDERS_A_SECOND / speed,  # of the timeline "model_order", to which the speed applies as well
+            fps=1.0 / (a_place * speed),
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
@@ -140,22 +153,8 @@ def diagnosis_blueprint(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> "rerun.b
         _outputs_page(diagnosis, plan),
         _numbers_page(diagnosis, plan),
     ]
-    speed = max(plan.stop - plan.start, 1e-6) / (SECONDS_A_STEP * max(1, len(plan.step_gaps) - 1))
-    return rrb.Blueprint(
-        rrb.Tabs(*pages, active_tab=0),
-        rrb.TimePanel(
-            timeline=TIMELINE,
-            state="collapsed",
-            play_state="paused",
-            loop_mode="all",
-            playback_speed=speed,
-            fps=1.0 / (SECONDS_A_STEP * speed),  # of the timeline "step", to which the speed applies as well
-        ),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        auto_views=False,
-        auto_layout=False,
-    )
+    length = SECONDS_A_STEP * max(1, len(plan.step_gaps) - 1)
+    return whole_blueprint(pages, plan, length=length, a_place=SECONDS_A_STEP)
 
 
 def _discrepancy_page(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> Any:
@@ -165,11 +164,11 @@ def _discrepancy_page(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> Any:
     verdict = document_view(VERDICT_TEXT, "Verdict")
     below: list[Any] = []
     if plan.stages:
-        below.append(_tabs([plot_view(spectrum_pane(i), _spectrum_name(diagnosis, i)) for i in outputs], "Spectra"))
+        below.append(tabs([plot_view(spectrum_pane(i), _spectrum_name(diagnosis, i)) for i in outputs], "Spectra"))
     if diagnosis.hypotheses:
         below.append(plot_view(HYPOTHESES, "What was tried"))
     lower = rrb.Horizontal(*below, verdict, column_shares=[1.0] * len(below) + [1.15], name="What is missing")
-    page = rrb.Vertical(_tabs(above, "Outputs"), lower, row_shares=[1.0, 1.25], name="Discrepancy")
+    page = rrb.Vertical(tabs(above, "Outputs"), lower, row_shares=[1.0, 1.25], name="Discrepancy")
     show_whole_record(page, plan)
     return page
 
@@ -237,10 +236,6 @@ def _gap_view(diagnosis: Diagnosis, plan: DiscrepancyPlan, output: int) -> Any:
 
 def _spectrum_name(diagnosis: Diagnosis, output: int) -> str:
     return f"Gap over frequency: {label(diagnosis.held_out[0].output_names[output], 18)}"
-
-
-def _tabs(views: list[Any], name: str) -> Any:
-    return rrb.Tabs(*views, active_tab=0, name=name) if len(views) > 1 else views[0]
 
 
 APPLICATION: Final = "modal-report"

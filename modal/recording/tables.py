@@ -97,17 +97,17 @@ def fit_page_text(identification: Identification, plan: Plan) -> str:
     parts += [f"**Read this:** {cell(warning)}" for warning in identification.warnings]
     seen = "the model sees the inputs alone" if first.n_inputs else "the model predicts one step ahead, without inputs,"
     parts.append(
-        f"Cross-validated fit **{_share(fit.mean)}**, mean over outputs: {seen} and is scored on rows that it was not "
-        "fitted to."
+        f"Cross-validated fit **{known(100 * fit.mean, '.1f', ' %')}**, mean over outputs: {seen} and is scored on "
+        "rows that it was not fitted to."
     )
     listed = range(min(first.n_outputs, WordLimits.LISTED))
     rows = [
         [
             cell(first.output_names[i], 24),
-            cell(first.output_units[i], 12) if first.output_units[i] else UNKNOWN,
-            f"**{_share(fit.cross_validated[i])}**",
-            _share(fit.whole[i]),
-            _share(fit.one_step[i]),
+            unit_cell(first.output_units[i]),
+            f"**{known(100 * fit.cross_validated[i], '.1f', ' %')}**",
+            known(100 * fit.whole[i], ".1f", " %"),
+            known(100 * fit.one_step[i], ".1f", " %"),
         ]
         for i in listed
     ]
@@ -137,14 +137,14 @@ def _observer_line(identification: Identification) -> str:
         return ""
     first = identification.records[0]
     n_samples = sum(record.n_samples for record in identification.records)
-    correlation = f"; correlation with the input: {_number(residuals.input_correlation_ratio, 2)}" * bool(
+    correlation = f"; correlation with the input: {known(residuals.input_correlation_ratio, '.2f')}" * bool(
         first.n_inputs
     )
     return (
         f"Observer order **{observer.order}**, model order **{identification.realisation.order}**; {first.n_inputs} "
         f"input{'s' * (first.n_inputs != 1)}, {first.n_outputs} output{'s' * (first.n_outputs != 1)}, {n_samples} "
         f"samples at {first.sampling_frequency:.6g} Hz, {observer.n_rows} complete rows fitted. Whiteness of the "
-        f"one-step residual: {_number(residuals.whiteness_ratio, 2)} (1 is white, above 2 is not){correlation}."
+        f"one-step residual: {known(residuals.whiteness_ratio, '.2f')} (1 is white, above 2 is not){correlation}."
     )
 
 
@@ -191,9 +191,16 @@ def bullets(*groups: Sequence[str]) -> list[str]:
     return ["\n".join(lines)] if lines else []
 
 
-def _share(value: float) -> str:
-    return f"{100 * value:.1f} %" if np.isfinite(value) else UNKNOWN
+def known(value: float, form: str, unit: str = "") -> str:
+    """The value in this form and unit, a dash where it is none."""
+    return f"{value:{form}}{unit}" if np.isfinite(value) else UNKNOWN
 
 
-def _number(value: float, decimals: int) -> str:
-    return f"{value:.{decimals}f}" if np.isfinite(value) else UNKNOWN
+def unit_cell(unit: str, longest: int = 12) -> str:
+    """A unit for a table, a dash where there is none."""
+    return cell(unit, longest) if unit else UNKNOWN
+
+
+def log_text(recording: "rerun.RecordingStream", path: str, text: str) -> None:
+    """Words in Markdown that stand from beginning to end."""
+    recording.log(path, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True, strict=True)

@@ -12,14 +12,13 @@ import numpy as np
 from modal.discrepancy.results import Diagnosis, Finding, LawCurve
 from modal.localisation.gap import Gap
 from modal.plots.discrepancy import draw_gap_spectrum, draw_laws, hypothesis_bars, modes_against_level
-from modal.plots.layout import grid_of
 from modal.plots.panels import STYLE
 from modal.plots.responses import density_label
 from modal.recording.discrepancy.series import DiscrepancyPlan, log_histories, log_tables, stage_part
-from modal.recording.figure import Palette, Pane, log_chart, rr, seen_at
+from modal.recording.figure import Palette, Pane, log_chart, one_panel, rr, seen_at
 from modal.recording.plan import cell, label, name_with_unit
 from modal.recording.series import TIMELINE, bucket_length, positions, reduced
-from modal.recording.tables import UNKNOWN, WordLimits, bullets, log_table, table
+from modal.recording.tables import WordLimits, bullets, log_table, log_text, table, unit_cell
 from modal.sections import discrepancy_words as words
 from modal.sections.discrepancy_stages import Row, Stage, gap_density, level_lines, rows_of
 from modal.sections.discrepancy_values import (
@@ -83,7 +82,7 @@ def gap_text(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> str:
             size_text(float(diagnosis.gap_before[i, j])),
             f"**{size_text(float(diagnosis.gap_after[i, j]))}**",
             size_text(float(floor[i, j])),
-            cell(record.output_units[j], 12) if record.output_units[j] else UNKNOWN,
+            unit_cell(record.output_units[j]),
         ]
         for i, record in enumerate(diagnosis.held_out)
         for j, name in enumerate(record.output_names)
@@ -126,7 +125,7 @@ def _parameters(findings: tuple[Finding, ...]) -> str:
             cell(finding.where, 28),
             cell(one.name),
             f"**{found_value(one)}**",
-            cell(one.unit, 16) if one.unit else UNKNOWN,
+            unit_cell(one.unit, 16),
         ]
         for finding in findings
         for one in finding.parameters
@@ -189,13 +188,9 @@ def log_discrepancy_page(diagnosis: Diagnosis, recording: "rerun.RecordingStream
         _log_law(recording, law, number)
     for pane, law in zip(law_panes(diagnosis), diagnosis.laws, strict=False):
         log_chart(recording, pane, draw_laws([law]))
-    documents = (
-        (VERDICT_TEXT, verdict_text(diagnosis, plan)),
-        (LAW_TEXT, law_text(diagnosis)),
-        (GAP_TEXT, gap_text(diagnosis, plan)),
-    )
-    for path, text in documents:
-        recording.log(path, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True, strict=True)
+    log_text(recording, VERDICT_TEXT, verdict_text(diagnosis, plan))
+    log_text(recording, LAW_TEXT, law_text(diagnosis))
+    log_text(recording, GAP_TEXT, gap_text(diagnosis, plan))
 
 
 def _log_spectra(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
@@ -215,8 +210,7 @@ def _log_spectra(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan:
         }
         log_table(recording, f"discrepancy/spectrum/{output + 1:02d}/numbers", "frequency_line", lines, columns)
     for output in plan.shown_outputs:
-        chart = grid_of(1, 1, size=(STYLE.page, STYLE.page))
-        (panel,) = chart.panels
+        chart, panel = one_panel()
         draw_gap_spectrum(panel, density, plan.stages, output)
         panel.y.label, panel.key = _density_title(diagnosis, output), "best"
         log_chart(recording, spectrum_pane(output), chart)
@@ -270,8 +264,7 @@ def _draw_gap(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: Di
     noise = 2.0 * float(np.sqrt(plan.step_gaps[0].floor[plan.record, plan.output]))
     reach = max(1.05 * max(float(np.nanmax(np.abs(curve))) for curve in curves), 1.5 * noise)
     name = name_with_unit(record.output_names[plan.output], record.output_units[plan.output])
-    chart = grid_of(1, 1, size=(STYLE.page, STYLE.page))
-    (panel,) = chart.panels
+    chart, panel = one_panel()
     panel.line(times, curves[0], "residual", width=STYLE.thin, opacity=STYLE.half, label="as given")
     panel.line([], [], "model", label="this step")
     panel.line([], [], "system", label="the last")
@@ -285,8 +278,7 @@ def _draw_gap(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: Di
 def _draw_spectrum(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
     density = gap_density(plan.step_gaps)
     first = Stage(name="as given", kind="before", step=0, gap=plan.step_gaps[0])
-    chart = grid_of(1, 1, size=(STYLE.page, STYLE.page))
-    (panel,) = chart.panels
+    chart, panel = one_panel()
     draw_gap_spectrum(panel, replace(density, gaps=density.gaps[:1]), [first], plan.output)
     panel.line([], [], "model", label="gap now")
     panel.y.label, panel.key = _density_title(diagnosis, plan.output), "best"
@@ -299,8 +291,7 @@ def _draw_parts(recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> No
     """A bar a part, as long as its gap is in times of the noise floor."""
     rows = _shown(plan.step_gaps)
     sizes = [size for row in rows for size in row.sizes if np.isfinite(size) and size > 0]
-    chart = grid_of(1, 1, size=(STYLE.page, STYLE.page))
-    (panel,) = chart.panels
+    chart, panel = one_panel()
     panel.x.log = True
     panel.x.limits = panel.x.fitted(np.array([0.7, 3.0, *sizes]))
     panel.x.label, panel.head = "times the noise floor", "gap by output, record and band"

@@ -11,13 +11,23 @@ import numpy as np
 from modal.identification.result import Identification
 from modal.modes.response_synthesis import tabled_frf
 from modal.plots.histories import residual_autocorrelation
-from modal.plots.layout import grid_of
-from modal.plots.panels import IN_TURN, STYLE
+from modal.plots.panels import IN_TURN
 from modal.plots.results import measured_responses
-from modal.recording.figure import Colour, Palette, Pane, document_view, log_chart, plot_view, rr, rrb, series_view
+from modal.recording.figure import (
+    Colour,
+    Palette,
+    Pane,
+    document_view,
+    log_chart,
+    one_panel,
+    plot_view,
+    rrb,
+    series_view,
+    tabs,
+)
 from modal.recording.plan import DataPlan, Plan, Views, cell, label, name_with_unit
 from modal.recording.series import Line, log_lines, log_sequence, time_axis
-from modal.recording.tables import choices_text, fit_page_text, log_table
+from modal.recording.tables import choices_text, fit_page_text, log_table, log_text
 from modal.sections.words import modes_headline
 from modal.wording.text import fit_text
 from okid.arrays import FloatArray
@@ -45,8 +55,7 @@ def log_fit_page(identification: Identification, recording: "rerun.RecordingStre
     times = time_axis(identification.records, plan.data)
     for output, path in enumerate(plan.fit_paths):
         _log_output(identification, recording, plan, times=times, output=output, path=path)
-    document = rr.TextDocument(fit_page_text(identification, plan), media_type=rr.MediaType.MARKDOWN)
-    recording.log(FIT_TEXT, document, static=True, strict=True)
+    log_text(recording, FIT_TEXT, fit_page_text(identification, plan))
     _log_numbers(identification, recording)
     _log_markov(identification, recording)
     _log_whiteness(identification, recording)
@@ -114,8 +123,7 @@ def _log_markov(identification: Identification, recording: "rerun.RecordingStrea
     log_sequence(recording, "fit/markov/numbers", timeline="lag", index=lags, values=numbers, names=names)
     strength = np.abs(scaled[1:]).max(axis=0)
     pairs = [(i, int(strength[i].argmax())) for i in np.argsort(-strength.max(axis=1), kind="stable")[:DRAWN_PAIRS]]
-    chart = grid_of(1, 1, size=(STYLE.page, STYLE.page))
-    (panel,) = chart.panels
+    chart, panel = one_panel()
     for (i, j), role in zip(pairs, IN_TURN, strict=False):
         panel.line(lags * markov.dt, scaled[:, i, j], role, label=f"{label(out[i], 11)} / {label(into[j], 11)}")
     panel.x.label, panel.y.label, panel.key = "time [s]", title, "best"
@@ -146,7 +154,7 @@ def fit_page(identification: Identification, plan: Plan) -> Any:
     left: list[Any] = [_everything(identification, plan)]
     if len(plan.data.shown_outputs) > 1:
         left += [_one_output(identification, plan, i) for i in plan.data.shown_outputs]
-    series = rrb.Tabs(*left, active_tab=0, name="Outputs") if len(left) > 1 else left[0]
+    series = tabs(left, "Outputs")
     words = [document_view(FIT_TEXT, "Fit")]
     if identification.markov.n_inputs or identification.markov.gain is not None:
         words.append(plot_view(MARKOV, "Markov parameters"))
@@ -235,8 +243,7 @@ def log_response_page(
     parts = [f"### {modes_headline(identification)}"]
     parts += [f"**Read this:** {cell(warning)}" for warning in identification.warnings]
     parts.append(choices_text(identification))
-    document = rr.TextDocument("\n\n".join(parts), media_type=rr.MediaType.MARKDOWN)
-    recording.log(TEXT, document, static=True, strict=True)
+    log_text(recording, TEXT, "\n\n".join(parts))
 
 
 def response_page() -> Any:

@@ -31,7 +31,7 @@ from modal.modes.shape_comparison import assurance
 from modal.recording.figure import Palette, Pane, document_view, plot_view, rr, rrb
 from modal.recording.identification.shapes import log_shape, shape_path
 from modal.recording.plan import Plan, cell, label
-from modal.recording.tables import UNKNOWN, bullets, choices_text, log_table, table
+from modal.recording.tables import UNKNOWN, bullets, choices_text, known, log_table, log_text, table
 from modal.sections.words import remark_of
 from modal.wording.text import NINETY_FIVE, hertz, ratio_text, with_interval
 from okid.arrays import ComplexArray, FloatArray
@@ -190,7 +190,7 @@ def _key(identification: Identification, plan: Plan) -> str:
         "gain: share of the squared error without the mode that it removes. γ: amplitude coherence. EMAC: extended "
         "modal amplitude coherence. MPC: phase collinearity. MPD: mean phase deviation. CMI = EMAC · MPC. MSV: mode "
         "singular value over the largest. "
-        f"n/(pq) = {_number(caution, 2)}"
+        f"n/(pq) = {known(caution, '.2f')}"
         + (": the indicators test the observer more than the data." if caution > 0.3 else ".")
     )
 
@@ -210,14 +210,14 @@ def _row(number: int, mode: Mode) -> list[str]:
         f"{strong}{_frequency(mode)}{strong}",
         damping if known else damping_text(mode),
         f"{strong}{mode.verdict}{strong}",
-        *[_number(value, 2) for value in (mode.repeatability, mode.probability)],
-        _figures(mode.gain),
-        *[_number(value, 2) for value in (mode.amplitude_coherence, mode.emac_output, mode.emac_input, mode.emac)],
-        _number(mode.phase_collinearity, 2),
-        _number(mode.mpd, 0),
+        *[known(value, ".2f") for value in (mode.repeatability, mode.probability)],
+        known(mode.gain, ".2g"),
+        *[known(value, ".2f") for value in (mode.amplitude_coherence, mode.emac_output, mode.emac_input, mode.emac)],
+        known(mode.phase_collinearity, ".2f"),
+        known(mode.mpd, ".0f"),
         complexity_words(mode),
-        _number(mode.cmi, 2),
-        _number(mode.msv, 2),
+        known(mode.cmi, ".2f"),
+        known(mode.msv, ".2f"),
         mode.kind,
         cell(_start(remark_of(mode))) if remark_of(mode) else UNKNOWN,
     ]
@@ -242,14 +242,6 @@ def _with_content(head: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[l
     """Leave out columns that say nothing: no value in any row, or every pole oscillatory."""
     said = [k for k in range(len(head)) if {row[k] for row in rows} - {UNKNOWN, "oscillatory"}]
     return [head[k] for k in said], [[row[k] for k in said] for row in rows]
-
-
-def _number(value: float, decimals: int) -> str:
-    return f"{value:.{decimals}f}" if np.isfinite(value) else UNKNOWN
-
-
-def _figures(value: float) -> str:
-    return f"{value:.2g}" if np.isfinite(value) else UNKNOWN
 
 
 MODES_TEXT: Final = "modes/text"
@@ -316,9 +308,8 @@ def log_modes_page(identification: Identification, recording: "rerun.RecordingSt
             log_shape(plan.modes[number - 1], number, recording, plan, scene)
         log_complexity(recording, plan, identification.channels)
         _log_geometry(identification, recording, plan, placement)
-    words = modes_text(identification, plan, placement)
-    for path, text in ((MODES_TEXT, words), (CHOICES_TEXT, choices_text(identification))):
-        recording.log(path, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True, strict=True)
+    log_text(recording, MODES_TEXT, modes_text(identification, plan, placement))
+    log_text(recording, CHOICES_TEXT, choices_text(identification))
     if plan.modes:
         _log_table(recording, plan)
     if plan.compared:

@@ -20,7 +20,7 @@ from modal.plots.panels import STYLE, Curve, Panel
 from modal.recording.figure import Palette, Pane, colour_of, log_chart, rr, seen_at
 from modal.recording.plan import Plan
 from modal.recording.series import TIMELINE
-from modal.recording.tables import UNKNOWN, log_table, table
+from modal.recording.tables import known, log_table, table
 from modal.verdict.stabilisation import StabilisationPoint
 from okid.arrays import FloatArray
 
@@ -144,8 +144,8 @@ def order_text(evidence: OrderEvidence, order: int) -> str:
         facts.append(f"singular value {values[order - 1] / values[order]:.3g} times the next")
     parts.append("; ".join(facts) + ".")
     if points:
-        parts.append(_poles_sentence(points, known=is_repeatability_known(evidence)))
-        parts.append(_poles_table(points, known=is_repeatability_known(evidence)))
+        parts.append(_poles_sentence(points, found_again=is_repeatability_known(evidence)))
+        parts.append(_poles_table(points, found_again=is_repeatability_known(evidence)))
     if evidence.stabilisation:
         parts.append(
             "Choose the timeline **model_order** at the bottom and drag it: the poles appear as the order grows. On "
@@ -154,23 +154,23 @@ def order_text(evidence: OrderEvidence, order: int) -> str:
     return "\n\n".join(parts)
 
 
-def _poles_sentence(points: Sequence[StabilisationPoint], *, known: bool) -> str:
-    sure = sum((point.repeatability if known else point.overlap) >= Orders.SURE for point in points)
+def _poles_sentence(points: Sequence[StabilisationPoint], *, found_again: bool) -> str:
+    sure = sum((point.repeatability if found_again else point.overlap) >= Orders.SURE for point in points)
     how = "were found again from halves of the data and with another observer"
-    if not known:
+    if not found_again:
         how = "continue a pole of the order below"
     return f"{sure} of its {len(points)} poles {how} (overlap {Orders.SURE:g} or more)."
 
 
-def _poles_table(points: Sequence[StabilisationPoint], *, known: bool) -> str:
-    head = ["f [Hz]", "ζ [%]", *(["again"] if known else []), "order below", "EMAC"]
+def _poles_table(points: Sequence[StabilisationPoint], *, found_again: bool) -> str:
+    head = ["f [Hz]", "ζ [%]", *(["again"] if found_again else []), "order below", "EMAC"]
     rows = [
         [
             f"{point.frequency:.5g}",
             f"{100 * point.damping_ratio:.2g}",
-            *([_share(point.repeatability)] if known else []),
-            _share(point.overlap),
-            _share(point.emac),
+            *([known(point.repeatability, ".2f")] if found_again else []),
+            known(point.overlap, ".2f"),
+            known(point.emac, ".2f"),
         ]
         for point in points[: Orders.LISTED_POLES]
     ]
@@ -184,10 +184,6 @@ def _pole_label(point: StabilisationPoint) -> str:
         f"overlap {point.overlap:.3f}"
     )
     return text + (f", found again {point.repeatability:.3f}" if np.isfinite(point.repeatability) else "")
-
-
-def _share(value: float) -> str:
-    return f"{value:.2f}" if np.isfinite(value) else UNKNOWN
 
 
 SINGULAR_VALUES: Final = Pane("order/singular_values/plot", 480.0, 430.0)

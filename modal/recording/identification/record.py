@@ -29,7 +29,7 @@ from modal.recording.figure import (
 from modal.recording.identification.fit import inputs_view
 from modal.recording.plan import DataPlan, Views, cell, label, name_with_unit
 from modal.recording.series import TIMELINE, log_series, time_axis
-from modal.recording.tables import UNKNOWN, WordLimits, bullets, log_table, table
+from modal.recording.tables import WordLimits, bullets, known, log_table, log_text, table, unit_cell
 from okid.record import Record
 
 if TYPE_CHECKING:
@@ -76,11 +76,11 @@ def quality_text(quality: DataQuality, records: Sequence[Record]) -> str:
     rows = [
         [
             cell(one.name, 24),
-            cell(one.unit, 12) if one.unit else UNKNOWN,
-            _figures(one.statistics.std),
-            _figures(max(abs(one.statistics.smallest), abs(one.statistics.largest))),
-            f"{one.statistics.signal_to_noise:.0f} dB" if np.isfinite(one.statistics.signal_to_noise) else UNKNOWN,
-            f"{100 * one.statistics.explained:.1f} %" if np.isfinite(one.statistics.explained) else UNKNOWN,
+            unit_cell(one.unit),
+            known(one.statistics.std, ".3g"),
+            known(max(abs(one.statistics.smallest), abs(one.statistics.largest)), ".3g"),
+            known(one.statistics.signal_to_noise, ".0f", " dB"),
+            known(100 * one.statistics.explained, ".1f", " %"),
             one.level if one.level == "good" else f"**{one.level}**",
         ]
         for one in quality.channels[: WordLimits.LISTED]
@@ -96,10 +96,6 @@ def quality_text(quality: DataQuality, records: Sequence[Record]) -> str:
 
 def _count(number: int, what: str) -> str:
     return f"{number} {what}{'s' * (number != 1)}"
-
-
-def _figures(value: float) -> str:
-    return f"{value:.3g}" if np.isfinite(value) else UNKNOWN
 
 
 LEVEL_COLOURS: Final[dict[str, Colour]] = {"bad": Palette.RED, "doubtful": Palette.GOLD, "note": (140, 165, 210)}
@@ -135,8 +131,7 @@ def log_record_page(
     """Every measured channel over time, where each record stands, spectra and coherence, the quality in words."""
     _log_channels(records, recording, plan)
     _log_places(records, recording, plan)
-    document = rr.TextDocument(quality_text(quality, records), media_type=rr.MediaType.MARKDOWN)
-    recording.log(quality_path(plan), document, static=True, strict=True)
+    log_text(recording, quality_path(plan), quality_text(quality, records))
     _log_numbers(quality, recording, plan)
     _log_marks(records, quality, recording, plan)
     _draw_spectra(quality, recording, plan)

@@ -14,10 +14,10 @@ from modal.identification.result import Identification
 from modal.plots.layout import grid_of
 from modal.plots.panels import STYLE, Panel
 from modal.plots.responses import density_label
-from modal.recording.figure import Pane, document_view, log_chart, plot_view, rr, rrb, series_view
+from modal.recording.figure import Pane, document_view, log_chart, one_panel, plot_view, rrb, series_view, tabs
 from modal.recording.identification.fit import run_view
 from modal.recording.plan import Gathered, Plan, Views, cell, label
-from modal.recording.tables import UNKNOWN, WordLimits, log_table, table
+from modal.recording.tables import WordLimits, known, log_table, log_text, table, unit_cell
 from okid.arrays import ComplexArray, FloatArray
 
 if TYPE_CHECKING:
@@ -127,11 +127,11 @@ def _table(identification: Identification) -> tuple[list[str], list[list[str]]]:
         rows.append(
             [
                 cell(first.output_names[i], 24),
-                cell(first.output_units[i], 12) if first.output_units[i] else UNKNOWN,
-                f"**{_percent(fit.cross_validated[i])}**",
-                _percent(fit.whole[i] if driven else fit.one_step[i]),
-                _figures(left),
-                _figures(whole),
+                unit_cell(first.output_units[i]),
+                f"**{known(100 * fit.cross_validated[i], '.1f', ' %')}**",
+                known(100 * (fit.whole[i] if driven else fit.one_step[i]), ".1f", " %"),
+                known(left, ".3g"),
+                known(whole, ".3g"),
             ]
         )
     return head, rows
@@ -148,14 +148,6 @@ def _sizes(identification: Identification, output: int) -> tuple[float, float]:
     return float(np.sqrt(np.mean(left[there] ** 2))), float(np.std(measured[there]))
 
 
-def _percent(value: float) -> str:
-    return f"{100 * value:.1f} %" if np.isfinite(value) else UNKNOWN
-
-
-def _figures(value: float) -> str:
-    return f"{value:.3g}" if np.isfinite(value) else UNKNOWN
-
-
 VALIDATION_TEXT: Final = "validation/text"
 
 
@@ -163,8 +155,7 @@ def log_validation_page(
     identification: Identification, recording: "rerun.RecordingStream", plan: Plan, evidence: Gathered
 ) -> None:
     """Responses or spectra of the shown outputs as pictures, those of all as numbers, and what they say."""
-    document = rr.TextDocument(validation_text(identification, evidence), media_type=rr.MediaType.MARKDOWN)
-    recording.log(VALIDATION_TEXT, document, static=True, strict=True)
+    log_text(recording, VALIDATION_TEXT, validation_text(identification, evidence))
     _log_responses(recording, plan, evidence)
     _log_densities(recording, plan, evidence)
     for output in plan.data.shown_outputs:
@@ -270,8 +261,8 @@ def _draw_magnitude(
     output: int,
     source: int,
 ) -> None:
-    chart = grid_of(1, 1, size=(STYLE.page, STYLE.page))
-    _fill_magnitude(chart.panels[0], identification, evidence, output=output, source=source)
+    chart, panel = one_panel()
+    _fill_magnitude(panel, identification, evidence, output=output, source=source)
     log_chart(recording, pane, chart)
 
 
@@ -280,12 +271,10 @@ def _draw_density(
 ) -> None:
     first, model = identification.channels, evidence.model_density[:, output]
     seen = evidence.quality.densities[: model.size, first.n_inputs + output]
-    chart = grid_of(1, 1, size=(STYLE.page, STYLE.page))
+    chart, panel = one_panel()
     frequencies = evidence.density_frequencies
-    _fill_pair(
-        chart.panels[0], (frequencies, seen), (frequencies, model), "of the model", decades=2 * ValidationLimits.DECADES
-    )
-    chart.panels[0].y.label = f"spectrum [{density_label(first.output_units[output])}]"
+    _fill_pair(panel, (frequencies, seen), (frequencies, model), "of the model", decades=2 * ValidationLimits.DECADES)
+    panel.y.label = f"spectrum [{density_label(first.output_units[output])}]"
     log_chart(recording, pane, chart)
 
 
@@ -316,10 +305,10 @@ def _phase(values: ComplexArray) -> FloatArray:
 def validation_page(identification: Identification, plan: Plan, evidence: Gathered) -> Any:
     """All outputs over frequency, then each over time and frequency; the words to the right."""
     outputs = plan.data.shown_outputs
-    tabs = [_one_output(identification, plan, evidence, i) for i in outputs]
+    views = [_one_output(identification, plan, evidence, i) for i in outputs]
     if len(outputs) > 1:
-        tabs = [_everything(identification, plan, evidence), *tabs]
-    left = rrb.Tabs(*tabs, active_tab=0, name="Outputs") if len(tabs) > 1 else tabs[0]
+        views = [_everything(identification, plan, evidence), *views]
+    left = tabs(views, "Outputs")
     words = document_view(VALIDATION_TEXT, "Validation in words")
     return rrb.Horizontal(left, words, column_shares=[2.4, 1.0], name="Validation")
 
@@ -357,7 +346,7 @@ def _one_output(identification: Identification, plan: Plan, evidence: Gathered, 
         responses = [plot_view(density_pane(output), f"Spectrum of {name}")]
     if not responses:
         return rrb.Vertical(series, name=name)
-    right = rrb.Tabs(*responses, active_tab=0, name="Over frequency") if len(responses) > 1 else responses[0]
+    right = tabs(responses, "Over frequency")
     return rrb.Horizontal(series, right, column_shares=[1.25, 1.0], name=name)
 
 
