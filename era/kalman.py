@@ -238,7 +238,7 @@ class Filtered:
     spreads: FloatArray
 
 
-def filtered(
+def filter_run(
     model: Realisation,
     gain: FloatArray,
     noise: FloatArray,
@@ -422,7 +422,7 @@ def forecast(
     inputs, missing = filled_inputs(record)
     reach = _powers(model, min(steps, record.n_samples))
     with np.errstate(over="ignore", invalid="ignore"):
-        run = filtered(
+        run = filter_run(
             model,
             model.K,
             noise,

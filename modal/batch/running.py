@@ -37,7 +37,7 @@ from modal.batch.task import (
     units_of,
     write_failure,
 )
-from modal.recording.records import save_batch_recording
+from modal.recording.stream import save_batch_recording
 from modal.report.folder import refuse_names, sweep
 from okid.arrays import listener, whole_number
 from okid.errors import ExecutorError, IdentificationError, InvalidDataError

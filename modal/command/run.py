@@ -1,4 +1,4 @@
-"""`modal-report run`: from measured files to modes, a report and a recording.
+"""`modal-report run`: from measured files to modes, a report and a recording; `demo`: the same of an embedded example.
 
 What would stop the work is looked at before it begins: a report that is there, a file that cannot be read, no browser.
 """
@@ -33,8 +33,18 @@ from modal.command.options import (
     plain_name,
     whole_or_auto,
 )
-from modal.command.terminal import Screen, live_view, progress_bar, say_beforehand, show_files, show_result
-from modal.examples.demo import demo_record
+from modal.command.terminal import (
+    Screen,
+    live_view,
+    plain,
+    progress_bar,
+    say_beforehand,
+    show_comparison,
+    show_files,
+    show_result,
+)
+from modal.examples.demo import compare_with_truth, demo_geometry, demo_record, demo_truth
+from modal.examples.files import write_files
 from modal.geometry.file import read_geometry
 from modal.geometry.sensors import Geometry
 from modal.identification.pipeline import expected_work, identify
@@ -439,3 +449,43 @@ def run(
 def exit_status(finished: Finished) -> int:
     """0 where the result can be relied on and every limit is surely met, 1 otherwise."""
     return 0 if trust_of(finished.result).trust != "not carried" and all_met(finished.limits) else 1
+
+
+DEMO_EXAMPLES = examples(
+    "report, recording and all: demo -o demo",
+    "and look at it: view demo",
+    "files to try every command with: demo --files -o .",
+)
+
+
+def demo(
+    folder: Annotated[
+        Path, typer.Option("-o", "--out", metavar="FOLDER", parser=folder_path, help="Folder for the report.")
+    ] = Path("modal-report-demo"),
+    *,
+    files: Annotated[
+        bool, typer.Option("--files", metavar="", help="Write only the files that the commands of README name.")
+    ] = False,
+    live: Live = False,
+    pdf: Pdf = False,
+    overwrite: Overwrite = False,
+    traceback: Traceback = False,
+) -> None:
+    """Identify an embedded example whose true modes are known, and compare what is found with what is true.
+
+    It takes seconds and needs no file. Exit status: 0 done; 1 done, but
+    the result is not reliable; 2 wrong use.
+    """
+    with faults(show=traceback):
+        if files:
+            written = write_files(folder, existing="replace" if overwrite else "refuse")
+            Screen(highlight=False).print(
+                plain(f"{len(written)} files written to {folder}, for the commands of README")
+            )
+            return
+        job = Job(folder=folder, existing="replace" if overwrite else "refuse", live=live, printed=pdf)
+        provenance = Provenance(command="modal-report demo")
+        finished = carry_out(job, read_demo, provenance=provenance, geometry=demo_geometry())
+        show_comparison(finished.console, compare_with_truth(demo_truth(), finished.result.modes))
+        show_files(finished.console, finished.files, pdf=finished.pdf)
+        raise typer.Exit(exit_status(finished))

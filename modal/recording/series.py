@@ -91,7 +91,7 @@ class StoredStretch:
     bucket: int
 
 
-def stretches(n_samples: int, budget: int, *, around: Sequence[int] = ()) -> tuple[StoredStretch, ...]:
+def stored_stretches(n_samples: int, budget: int, *, around: Sequence[int] = ()) -> tuple[StoredStretch, ...]:
     """How a record is stored: whole where the budget allows, else its start and what lies `around`, and buckets.
 
     Args:
@@ -100,7 +100,7 @@ def stretches(n_samples: int, budget: int, *, around: Sequence[int] = ()) -> tup
         around: samples around which every sample is wanted; beyond two, those that come first.
 
     Example:
-        >>> [(s.start, s.stop, s.bucket) for s in stretches(100_000, 8000, around=[50_000])]
+        >>> [(s.start, s.stop, s.bucket) for s in stored_stretches(100_000, 8000, around=[50_000])]
         [(0, 1000, 1), (1000, 49500, 33), (49500, 50500, 1), (50500, 100000, 33)]
     """
     if n_samples <= budget:
@@ -218,11 +218,11 @@ def stored_levels(
     """
     n_samples = sum(record.n_samples for record in records)
     if n_samples <= budget:
-        return tuple(stretches(record.n_samples, record.n_samples) for record in records)
+        return tuple(stored_stretches(record.n_samples, record.n_samples) for record in records)
     shares = [max(64, budget * record.n_samples // n_samples) for record in records]
     wanted: list[Sequence[int]] = [[sample] for sample in around] or [[]] * len(records)
     return tuple(
-        stretches(record.n_samples, share, around=samples)
+        stored_stretches(record.n_samples, share, around=samples)
         for record, share, samples in zip(records, shares, wanted, strict=True)
     )
 

@@ -1,4 +1,4 @@
-"""One result into one stream, and one stream into one file.
+"""One result into one stream, one stream into one file; the table of a batch as a recording of its own.
 
 How a recording opens stands here too: a page is a container of views with a name, made beside what the page draws; a
 further page is one function more in `_pages` or in `diagnosis_blueprint`.
@@ -13,8 +13,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
+import numpy as np
+
 from modal.discrepancy.results import Diagnosis, in_words
 from modal.identification.result import Identification
+from modal.plots.histories import frequencies_of_records, places_of_records
 from modal.recording.discrepancy.page import (
     GAP_TEXT,
     HYPOTHESES,
@@ -32,15 +35,16 @@ from modal.recording.discrepancy.page import (
     spectrum_pane,
 )
 from modal.recording.discrepancy.series import DiscrepancyPlan, diagnosis_tables, planned_diagnosis
-from modal.recording.figure import document_view, plot_view, rr, rrb, series_view, tabs
+from modal.recording.figure import Pane, document_view, log_chart, plot_view, rr, rrb, series_view, tabs
 from modal.recording.identification.fit import fit_page, log_fit_page, log_response_page, response_page
 from modal.recording.identification.modes import log_modes_page, modes_page
 from modal.recording.identification.order import ORDER_FIT, ORDER_TEXT, SINGULAR_VALUES, STABILISATION, log_order_page
 from modal.recording.identification.record import log_record_page, record_page
 from modal.recording.identification.shapes import Swinging
 from modal.recording.identification.validation import log_validation_page, validation_page
-from modal.recording.plan import Gathered, Plan, gather, label, name_with_unit, planned
+from modal.recording.plan import Gathered, Plan, cell, gather, label, name_with_unit, planned
 from modal.recording.series import TIMELINE, Span
+from modal.recording.tables import WordLimits, bullets, log_table, log_text, table
 from modal.sections.discrepancy_stages import level_lines
 from okid.arrays import require
 from okid.errors import InvalidDataError
@@ -52,6 +56,7 @@ if TYPE_CHECKING:
 
     from modal.geometry.sensors import Geometry
     from modal.quality.findings import DataQuality
+
 
 GLOBAL_AXIS: Final = uuid.UUID("5c0dca6a-e63f-9cf7-f657-2602590474cc")
 """The view whose time range all linked views share, by its fixed identity in Rerun's viewer (`GLOBAL_VIEW_ID`)."""
@@ -216,10 +221,10 @@ def _outputs_page(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> Any:
 
 def _numbers_page(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> Any:
     views = []
-    for table in diagnosis_tables(diagnosis, plan):
-        columns = [table.timeline, *(f"/{table.path}:{name}" for name in table.columns)]
-        query = rrb.archetypes.DataframeQuery(timeline=table.timeline, select=columns)
-        views.append(rrb.DataframeView(origin=table.path, name=table.title, query=query))
+    for one in diagnosis_tables(diagnosis, plan):
+        columns = [one.timeline, *(f"/{one.path}:{name}" for name in one.columns)]
+        query = rrb.archetypes.DataframeQuery(timeline=one.timeline, select=columns)
+        views.append(rrb.DataframeView(origin=one.path, name=one.title, query=query))
     return rrb.Tabs(*views, active_tab=0, name="Numbers")
 
 
@@ -470,3 +475,75 @@ def strict_errors() -> Iterator[None]:
         yield
     finally:
         rr.set_strict_mode(before)
+
+
+FREQUENCIES: Final = Pane(path="batch/frequencies", width=1500.0, height=760.0)
+WORDS: Final = "batch/words"
+MODES: Final = "batch/modes"
+RECORDS: Final = "batch/records"
+
+
+def save_batch_recording(names: Sequence[str], modes: Any, records: Any, path: Path) -> Path:
+    """Write the recording of a batch; the same tables give the same recording.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    frequency, deviation, damping, probability = (
+        modes.column(name).to_numpy(zero_copy_only=False)
+        for name in ("frequency", "frequency_std", "damping_ratio", "probability")
+    )
+    verdicts, number = modes.column("verdict").to_pylist(), {name: place for place, name in enumerate(names)}
+    row = np.array([number[name] for name in modes.column("record").to_pylist()], dtype=np.intp)
+    starts = np.zeros(len(names))
+    starts[row] = modes.column("start_time").to_numpy(zero_copy_only=False)
+    seen = np.unique(row)
+    along, label = places_of_records(starts[seen], seen + 1)
+    places = np.full(len(names), np.nan)
+    places[seen] = along
+    digest = hashlib.blake2b(repr(names).encode("utf-8", "backslashreplace"), digest_size=12)
+    digest.update(frequency.tobytes() + deviation.tobytes())
+
+    def log(recording: "rerun.RecordingStream") -> None:
+        chart = frequencies_of_records(places[row], frequency, verdicts, along=label)
+        log_chart(recording, FREQUENCIES, chart)
+        log_table(
+            recording,
+            MODES,
+            "mode_row",
+            np.arange(row.size),
+            {
+                "record": modes.column("record").to_pylist(),
+                "frequency": frequency,
+                "frequency_std": deviation,
+                "damping_ratio": damping,
+                "probability": probability,
+                "verdict": verdicts,
+            },
+        )
+        told = {name: records.column(name).to_pylist() for name in ("record", "path", "hash", "status", "message")}
+        log_table(recording, RECORDS, "record_row", np.arange(len(names)), told)
+        log_text(recording, WORDS, _words(told))
+        views = [plot_view(FREQUENCIES, "Frequencies"), document_view(WORDS, "Records")]
+        for entity, timeline in ((MODES, "mode_row"), (RECORDS, "record_row")):
+            query = rrb.archetypes.DataframeQuery(timeline=timeline)
+            views.append(rrb.DataframeView(origin=entity, name=entity.rpartition("/")[2].capitalize(), query=query))
+        page = rrb.Vertical(views[0], rrb.Tabs(*views[1:], active_tab=0), row_shares=[1.4, 1.0], name="Batch")
+        recording.send_blueprint(
+            rrb.Blueprint(page, rrb.TimePanel(state="hidden"), auto_views=False, auto_layout=False)
+        )
+
+    return write_stream(path, digest.hexdigest(), "batch", log)
+
+
+def _words(told: dict[str, list[str]]) -> str:
+    failed = [row for row in zip(told["record"], told["status"], told["message"], strict=True) if row[2]]
+    n_failed = told["status"].count("failed")
+    head = f"### {len(told['record'])} records, {n_failed} failed"
+    if not failed:
+        return head
+    rows = [[cell(name, 60), status, cell(message)] for name, status, message in failed[: WordLimits.LISTED]]
+    more = (
+        bullets([f"and {len(failed) - WordLimits.LISTED} more in the table"]) if len(failed) > WordLimits.LISTED else []
+    )
+    return "\n\n".join([head, table(["record", "status", "message"], rows), *more])

@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from okid.errors import IdentificationWarning, InvalidDataError
-from okid.readers.dispatch import FileDescription, describe_file, describe_table, read_table
+from okid.readers.dispatch import FileDescription, describe_file, describe_table, read_table, records_of_tables
 from okid.readers.guard import check_file
-from okid.readers.joining import records_of_tables
 from okid.readers.table import Table, conversion_of, to_record
 from okid.readers.units import UnitConversion
 from okid.record import InputHold, Record

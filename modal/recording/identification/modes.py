@@ -203,12 +203,12 @@ def _assurance_words(identification: Identification, plan: Plan) -> list[str]:
 
 def _row(number: int, mode: Mode) -> list[str]:
     strong = "**" if mode.verdict == "system" else ""
-    known = mode.kind != "real" and mode.damping_resolved
+    resolved = mode.kind != "real" and mode.damping_resolved
     damping = f"{strong}{_interval(100 * mode.damping_ratio, 100 * NINETY_FIVE * mode.damping_ratio_std)}{strong}"
     return [
         str(number),
         f"{strong}{_frequency(mode)}{strong}",
-        damping if known else damping_text(mode),
+        damping if resolved else damping_text(mode),
         f"{strong}{mode.verdict}{strong}",
         *[known(value, ".2f") for value in (mode.repeatability, mode.probability)],
         known(mode.gain, ".2g"),
