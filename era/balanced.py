@@ -3,14 +3,10 @@
     H(0) = U S V',   A = S^(-1/2) U' H(1) V S^(-1/2),   B = S^(1/2) V' E_in,   C = E_out' U S^(1/2),   D = h[0]
 
 with E_in and E_out the first block column of the identity. The model of a lower order is a corner of the model of a
-higher order, so one decomposition (`era.balanced`) serves all orders.
+higher order, so one decomposition serves all orders.
 
 References:
     Juang, Pappa, Journal of Guidance, Control, and Dynamics 8(5), 1985, 620-627, doi 10.2514/3.20031.
-
-One decomposition of the scaled block Hankel matrix, and from it the balanced model of the highest order.
-
-    H(0) = U S V',   A = S^(-1/2) U' H(1) V S^(-1/2),   B = S^(1/2) V' E_in,   C = E_out' U S^(1/2)
 
 - H(1) is H(0) without its first block row, and one new block row at the end. So U' H(1) V needs no product with H(1):
   H(0) V = U S gives all of it but the last block row.

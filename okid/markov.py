@@ -3,7 +3,7 @@
 `system[0] = D`, `system[k] = C A^(k-1) B`; nothing is multiplied or divided by dt. With an observer gain,
 `gain[0] = I`, `gain[k] = C A^(k-1) K`.
 
-From the observer to the Markov parameters of the system and of its gain: the second half of OKID.
+From the observer, the second half of OKID:
 
     h_0 = D,  h_k = alpha_k + sum_{i=1..min(k,p)} beta_i h_{k-i}      system, C A^(k-1) B
     g_0 = I,  g_k =           sum_{i=1..min(k,p)} beta_i g_{k-i}      gain,   C A^(k-1) K
@@ -11,10 +11,8 @@ From the observer to the Markov parameters of the system and of its gain: the se
 with alpha_k = 0 beyond the observer order p. The last term of each sum, beta_k D or beta_k I, belongs to it: without it
 the parameters are wrong by about half on noise-free data. The number of lags is independent of the observer order.
 
-The output recursion of an observer, y(k) = x(k) + sum_{i=1..p} beta_i y(k-i), solved in blocks of steps.
-
-One step at a time costs an interpreter round a step. A block of b steps is one product with the constant Toeplitz strip
-that carries the past and one triangular solve with the constant unit lower triangle that links the steps of the block.
+The recursion is solved in blocks of steps: one product with the constant Toeplitz strip that carries the past and one
+triangular solve with the constant unit lower triangle that links the steps of the block.
 """
 
 from dataclasses import KW_ONLY, dataclass

@@ -52,12 +52,7 @@ class ResidualCheck(Displayed):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CentredErrors:
-    """Errors less their mean, zero in rows that miss one.
-
-    Attributes:
-        records: (n_samples, n_outputs) a record.
-        n_rows: complete rows.
-    """
+    """Errors less their mean, zero in rows that miss one."""
 
     records: tuple[FloatArray, ...]
     n_rows: int

@@ -64,9 +64,6 @@ class _Task:
 class Workers(Executor):
     """Processes that are started again when they die.
 
-    Args:
-        n_workers: how many.
-
     Example:
         >>> with Workers(1) as workers:
         ...     workers.submit(pow, 2, 10).result()

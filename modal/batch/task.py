@@ -39,17 +39,7 @@ Sources = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settings:
-    """How every record of a batch is read and identified; part of the name of each result.
-
-    Attributes:
-        inputs: names of the inputs, as in `okid.read_record`.
-        outputs: names of the outputs.
-        dt: time step [s], where the files have none.
-        input_hold: what the inputs did between samples.
-        observer_order: as in `modal.identify`.
-        ridge: likewise.
-        order: likewise.
-    """
+    """How every record of a batch is read and identified; part of the name of each result."""
 
     inputs: tuple[str, ...] | None = None
     outputs: tuple[str, ...] | None = None

@@ -137,22 +137,7 @@ def _before_after(stages: Sequence[Stage]) -> Table:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class GapJob:
-    """What to do, and with which files.
-
-    Attributes:
-        model: file of the model.
-        fit: files of the records to fit.
-        held_out: files of the held-out records.
-        inputs: names of the input columns; the model's own names unless given.
-        outputs: names of the output columns; the model's own names unless given.
-        dt: time step [s] where the files have none.
-        hold: what the inputs did between samples.
-        catalogue: keys of the effects to try; all unless given.
-        folder: for the report.
-        existing: "refuse" to touch a report that is there, or "replace" it.
-        printed: print the report into a file too.
-        budget: CPU seconds after which the search begins nothing new; unless given, its work is bounded.
-    """
+    """What to do, and with which files."""
 
     model: Path
     fit: tuple[Path, ...]

@@ -157,20 +157,7 @@ READ, IDENTIFIED, WRITTEN = 0.03, 0.75, 0.95
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Job:
-    """What to do with the records, wherever they come from.
-
-    Attributes:
-        folder: for the report.
-        existing: "refuse" to touch a report that is there, or "replace" it.
-        observer_order: past samples of the observer.
-        ridge: of the observer fit.
-        order: of the model.
-        kind: of the records.
-        test: file of what no measured file knows; None where there is none.
-        geometry: file of nodes, lines and sensors; None: that of the test file, if it has one.
-        live: show the work in a viewer while it goes on.
-        printed: print the report into a file too.
-    """
+    """What to do with the records, wherever they come from."""
 
     folder: Path
     existing: Literal["refuse", "replace"]
@@ -246,15 +233,7 @@ class FileSource:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Finished:
-    """What a run came to.
-
-    Attributes:
-        result: of `modal.identify`.
-        files: of the report.
-        pdf: the printed report, None where it was not asked for.
-        limits: what became of each limit of the test file; empty where there is none.
-        console: to go on printing to.
-    """
+    """What a run came to."""
 
     result: Identification
     files: ReportFiles

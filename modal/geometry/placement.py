@@ -4,14 +4,13 @@ One picture needs one kind of quantity. For a mode with pole s, velocity is s an
 so outputs in m/s are divided by s and outputs in m/s^2 by s^2 where a picture holds both, and phases come out right as
 well. Rotations turn rigid bodies and are never drawn as translation. What is no motion (forces, strains) is left out.
 
-A picture where no geometry is known: the sensors in a row.
-
-Names that count rows and columns (p11, p12, ... p34; x1y2; r1c2) and fill a whole grid are drawn as one, and it is said
-that this is a guess. Names such as `12X+` still say which channels share a node and which way they look. Then the nodes
-stand in a row in the order of the record, along an axis in which nothing was measured if there is one: upright like a
-tower for motion in X and Y, lying like a beam for motion in Z. Otherwise every output has a place of its own in the
-order of the record and moves up and down; outputs of different units cannot share one scale, so each unit has a line of
-its own, one behind the other. Between two sensors a line is straight: nothing was measured there.
+Where no geometry is known, names that count rows and columns (p11, p12, ... p34; x1y2; r1c2) and fill a whole grid are
+drawn as one, and it is said that this is a guess. Names such as `12X+` still say which channels share a node and which
+way they look. Then the nodes stand in a row in the order of the record, along an axis in which nothing was measured if
+there is one: upright like a tower for motion in X and Y, lying like a beam for motion in Z. Otherwise every output has
+a place of its own in the order of the record and moves up and down; outputs of different units cannot share one scale,
+so each unit has a line of its own, one behind the other. Between two sensors a line is straight: nothing was measured
+there.
 """
 
 import re

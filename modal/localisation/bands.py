@@ -21,13 +21,7 @@ MOST_OCTAVES = 8
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class GapBand:
-    """The frequencies low < f <= high.
-
-    Attributes:
-        name: what a person calls it.
-        low: [Hz].
-        high: [Hz].
-    """
+    """The frequencies low < f <= high."""
 
     name: str
     low: float

@@ -8,11 +8,9 @@ within a quarter of the nearest, because the states that a larger order spends o
 level's model is refined by output error; from there the neighbouring levels are refined one after the other, each from
 the model of the level before it, so that a mode is followed and not found anew.
 
-The curvature of the output error takes what is left over for noise. What a nonlinear law leaves over moves with the
-motion: over 12 realisations of a three-storey chain the frequency of its first mode scattered up to 12 times (cubic
-spring), its damping ratio up to 7 times (drag) as far as that says. So every level is also refined on its quarters,
-from its own model, and the larger of the two deviations counts: then it was 0.2 to 2.4 times for frequencies, up to 3
-times for damping ratios.
+The curvature of the output error takes what is left over for noise, but what a nonlinear law leaves over moves with
+the motion. So every level is also refined on its quarters, from its own model, and the larger of the two deviations
+counts.
 
 In free decays the level is the motion itself, and falls within one record. A record that no input drives is cut into
 windows; each is the answer to a pulse at its first sample and to its own initial state, so that ERA takes its outputs

@@ -1,9 +1,8 @@
 """Modes compared: overlap of their pulse responses, and sets of shapes paired, averaged and read from files.
 
-Overlap: how much of a mode's own pulse response another mode repeats, in closed form.
-
-The pulse response of a mode with residue R = c b' and discrete pole lambda is h_k = 2 Re(R lambda^k) for a pair and
-R lambda^k for a real pole, k = 0 ... L - 1. With w = 2 for a pair and 1 for a real pole,
+The overlap is how much of a mode's own pulse response another mode repeats. The pulse response of a mode with residue R
+= c b' and discrete pole lambda is h_k = 2 Re(R lambda^k) for a pair and R lambda^k for a real pole, k = 0 ... L - 1.
+With w = 2 for a pair and 1 for a real pole,
 
     <1, 2> = sum over k of trace(h1_k' h2_k)
            = w1 w2 / 2 Re[(c1' c2)(b1' b2) g(l1 l2) + (c1* c2)(b1* b2) g(conj(l1) l2)],   g(x) = (1 - x^L) / (1 - x)
@@ -12,8 +11,6 @@ R lambda^k for a real pole, k = 0 ... L - 1. With w = 2 for a pair and 1 for a r
 (' transpose, * conjugate transpose). It is 1 for the same mode only: frequency, damping, shape, participation and size
 all count, without a tolerance for any of them, and the scaling of eigenvectors cancels. Channels are made comparable
 by the scales of the records, so a change of unit changes nothing.
-
-Sets of shapes with the names of their channels: compared, paired, averaged over repeated tests, read from files.
 
 A set may come from an identification, a finite-element program or another test. Two sets are joined by the names of
 their channels, so neither their order nor channels that only one of them has matter.

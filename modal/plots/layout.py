@@ -18,13 +18,7 @@ INCH: Final = 72.0
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Key:
-    """A key outside of all panels.
-
-    Attributes:
-        panel: whose lines it names.
-        below: it stands below the panels, in the middle; else above them, on the right.
-        title: words over it.
-    """
+    """A key outside of all panels."""
 
     panel: Panel
     below: bool = False
@@ -37,17 +31,7 @@ class Key:
 
 
 class Chart:
-    """Panels in rows and columns.
-
-    Attributes:
-        width: [pt].
-        height: [pt].
-        rows: panels of each row, None where there is none.
-        across: widths of the columns, relative.
-        down: heights of the rows, relative.
-        key: outside of the panels.
-        title: above all.
-    """
+    """Panels in rows and columns."""
 
     __slots__ = ("across", "down", "height", "key", "rows", "title", "width")
 

@@ -43,12 +43,7 @@ NAME_SIZE: Final = 7.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Viewport:
-    """The part of the flat picture that holds everything.
-
-    Attributes:
-        low: (2,) left and bottom.
-        high: (2,) right and top.
-    """
+    """The part of the flat picture that holds everything."""
 
     low: FloatArray
     high: FloatArray

@@ -43,12 +43,7 @@ MOST_TOLD = 4
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Mended:
-    """Records without dead outputs, spikes missing.
-
-    Attributes:
-        records: the very records that came where nothing is wrong.
-        warnings: a sentence for each fault.
-    """
+    """Records without dead outputs, spikes missing."""
 
     records: tuple[Record, ...]
     warnings: tuple[str, ...]

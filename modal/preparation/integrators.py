@@ -40,12 +40,7 @@ LEAST_GAIN = 0.2
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Integrators:
-    """How often the system integrates its inputs.
-
-    Attributes:
-        number: 0, 1 or 2.
-        choice: what was chosen and why.
-    """
+    """How often the system integrates its inputs."""
 
     number: int
     choice: Choice

@@ -1,13 +1,9 @@
-"""What each channel says by itself: its spectrum and its level.
-
-What the spectrum of a channel tells: a bound on its noise, no roll-off, few periods, white noise, hum of the mains.
+"""What each channel says by itself: by its spectrum (noise, no roll-off, few periods, hum) and by its level.
 
 In the spectrum of a whole record (Hann window for the mains) the power of noise, and of a resonance that noise drives,
 is spread like an exponential variable about a level that is smooth over a few hertz: it exceeds r times its mean with
 probability e^-r, and r times the median of its neighbours with probability 2^-r; `FALSE_ALARM` gives both r. A line
 stands alone: its power grows with the length of the record, that of its neighbours does not.
-
-The level of a channel: a mean far from zero, a size that changes within the record, slow drift that no input causes.
 
 Drift is decided as the identification does (`modal.preparation.drift`), but with the pulse response of an observer in
 the place of a model: what the inputs do is taken off, once with a response fitted to the records as they are and once

@@ -3,12 +3,6 @@
 The viewer is company, not part of the work: where there is none, where it cannot be opened or where it is closed on the
 way, one sentence says so and the work goes on. Nothing here waits longer than a second or two, and nothing raises.
 
-Where a Rerun viewer is, whether it answers, and opening one.
-
-How a live view opens, before there is a result; called by `modal.recording.live`.
-
-A wire to a viewer that can be cut.
-
 Rerun waits without end for a viewer that has stopped answering (a machine asleep, a network gone), when a stream is
 closed and again when the program ends. Bytes that pass through a socket of our own can be stopped there: Rerun then
 sees a broken connection, and gives up at once.

@@ -1,7 +1,5 @@
 """Time series of the records: one bulk call an entity, constant style beside it, gaps kept.
 
-Long series kept small on disk, at two levels of detail: the extremes of each bucket of samples, and every sample.
-
 A plot of a thousand pixels cannot show more than a smallest and a largest value a pixel, and a peak is never lost when
 both are kept: the overview. Where one looks closer, at the start of a record and around the largest residual, every
 sample is kept: the detail. Both levels are stretches of one series, so a view need not know about them. All channels
@@ -10,8 +8,6 @@ of a record share one time grid.
 The budget: all series of a recording together take at most about `BYTES_PER_RECORDING` on disk, and no entity has more
 than `SAMPLES_PER_SERIES` rows. 8 channels of a million samples make a file of less than 100 MB, written in less
 than 5 s (`tests/benchmarks/recording_benchmark.py` measures both).
-
-Where records stand on the timeline "time", and how finely each is stored.
 
 Several records share the timeline. A record keeps its own time where it starts after the one before it has ended (parts
 of one long measurement do); otherwise it is moved to follow the one before it after a short pause, which stays empty in
@@ -78,13 +74,7 @@ def bucket_length(n_samples: int, budget: int) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredStretch:
-    """Samples of a record that are stored at one level of detail.
-
-    Attributes:
-        start: the first of them.
-        stop: one past the last.
-        bucket: samples a stored bucket, 1 where every sample is stored.
-    """
+    """Samples of a record that are stored at one level of detail."""
 
     start: int
     stop: int
@@ -261,14 +251,7 @@ Interpolation = Literal["Linear", "StepAfter"]
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Line:
-    """One channel of all records, and how it is drawn.
-
-    Attributes:
-        channels: its samples in each record, nan where missing.
-        name: as it reads in the legend.
-        colour: of the line.
-        width: of the line, in points.
-    """
+    """One channel of all records, and how it is drawn."""
 
     channels: Sequence[FloatArray]
     name: str

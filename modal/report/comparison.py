@@ -126,13 +126,7 @@ COMPARISON_SCHEMA = "modal-report-comparison/1"
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ComparisonFiles:
-    """Where the files of a comparison are.
-
-    Attributes:
-        html: self-contained page.
-        markdown: the same words and tables.
-        json: every number.
-    """
+    """Where the files of a comparison are."""
 
     html: Path
     markdown: Path

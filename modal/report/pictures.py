@@ -39,13 +39,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Picture:
-    """One picture for a page.
-
-    Attributes:
-        svg: the `<svg>` element.
-        caption: what there is to see.
-        chart: numbers behind the picture as JSON, "" where there is nothing to read off.
-    """
+    """One picture for a page."""
 
     svg: str
     caption: str

@@ -31,14 +31,7 @@ from okid.record import InputHold, Record
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Given:
-    """A model as it was given.
-
-    Attributes:
-        model: A StructuralModel or a PlantModel.
-        plant: Its plant.
-        linear: (n_parameters,) values of its linear parameters.
-        effects: Effects that it has already.
-    """
+    """A model as it was given."""
 
     model: StructuralModel | PlantModel
     plant: Plant

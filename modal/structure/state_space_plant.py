@@ -21,8 +21,6 @@ Where a displacement does not exist:
       constant velocity, not none. The port has a velocity only, and forces act in any direction of the states.
     - an integrator needs its displacement measured: an acceleration does not show it.
 
-Levels that flows move, in a state space that does not oscillate: it may be one of several tanks.
-
 A level at the end of a cascade answers to the inflow as a displacement answers to a force: not at once. So where no
 pole oscillates an output may be either. What flows out of the last tank is p h with the tank's rate p, and what flows
 in comes from the tank before it, whose level is therefore known without a sensor:
@@ -32,7 +30,7 @@ in comes from the tank before it, whose level is therefore known without a senso
 counted so that both levels are the same at rest. Which tank has which rate does not show in the linear model (the
 cascade in the other order has the same response), so each rate that a pole shows gives a place.
 
-A plant without dynamics: motion is imposed, a force is measured (a damper or a joint in a testing machine).
+Without dynamics, motion is imposed and a force is measured (a damper or a joint in a testing machine):
 
     y = D u + force
 

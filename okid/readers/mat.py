@@ -4,8 +4,6 @@ Function handles and objects in a file are passed over. A vector of MATLAB has t
 one channel, whichever way it lies. Fields of structures are arrays of their own, "run.tip", and lose the structure's
 name where the field's alone is unique.
 
-MAT versions 4, 5, 6 and 7 element by element: each tag and size is checked against the bytes that are there.
-
 A level 5 file is a header of 128 bytes and a row of elements, each a tag (type and number of bytes) and its data, which
 may be elements in turn. Every number of samples that a file claims must be accounted for by the bytes that follow, so
 damage is an error and never another number. Sparse matrices, function handles and objects are passed over.

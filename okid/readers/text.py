@@ -3,20 +3,13 @@
 The layout is found from the first megabyte; the numbers are then read by pyarrow, in several threads. Only where that
 fails is the text looked through line by line, to say which cell is at fault.
 
-Cells of a text table: how a line is cut, and what is a number, a missing value, or text.
-
-The layout of a text table: delimiter, decimal sign, where the numbers begin, what the columns are called.
-
 The dialect is the one under which the most lines after the first line of numbers are lines of as many numbers. What
 stands before that line is the header (the last line of as many names), a line of units below it if there is one, and
 remarks, which are left alone.
 
-Stamps of a clock before each row of a text table, such as 2026-05-04T12:00:00.010, as seconds from the first one.
-
-A column of stamps is the time whatever its header says (Datum, Date/Time, Uhrzeit). ISO 8601, its blank in place of
-the T, 2026/05/04, 04.05.2026 12:00:00, and a clock without a date are read; what only a country's habit tells
-(05/04/2026) is not.
-The digits stay as they were written, for they say how far a stamp was rounded.
+A column of stamps of a clock is the time whatever its header says (Datum, Date/Time, Uhrzeit). ISO 8601, its blank in
+place of the T, 2026/05/04, 04.05.2026 12:00:00, and a clock without a date are read; what only a country's habit tells
+(05/04/2026) is not. The digits stay as they were written, for they say how far a stamp was rounded.
 """
 
 import codecs

@@ -152,15 +152,7 @@ def log_histories(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class NumberTable:
-    """One table of a diagnosis.
-
-    Attributes:
-        path: its entity.
-        title: of its view.
-        timeline: that counts its rows.
-        first: number of its first row.
-        columns: by name, one value a row.
-    """
+    """One table of a diagnosis."""
 
     path: str
     title: str
