@@ -21,7 +21,7 @@ from modal.modes.response_synthesis import MeasuredFrf, frf, measured_frf
 from modal.quality.check import check_quality
 from modal.quality.findings import DataQuality
 from modal.recording.figure import drawable, rr
-from modal.recording.series import StoredStretch, laid_out, row_budget, stored_levels
+from modal.recording.series import StoredRecords, laid_out, row_budget, stored_levels
 from modal.wording.text import escape_markdown, shorten
 from okid.arrays import ComplexArray, FloatArray
 from okid.errors import InsufficientDataError, visible
@@ -115,7 +115,7 @@ class Counted:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class DataPlan:
+class DataPlan(StoredRecords):
     """Where the measured channels are stored and when they play.
 
     Attributes:
@@ -124,9 +124,6 @@ class DataPlan:
         output_paths: entity of each output.
         shown_outputs: outputs that have views of their own.
         shifts: seconds by which each record is moved on the timeline.
-        starts: when each record begins on the timeline [s].
-        stops: when each record ends on the timeline [s].
-        levels: how finely each record is stored, stretch by stretch.
     """
 
     root: str
@@ -134,19 +131,6 @@ class DataPlan:
     output_paths: tuple[str, ...]
     shown_outputs: tuple[int, ...]
     shifts: tuple[float, ...]
-    starts: tuple[float, ...]
-    stops: tuple[float, ...]
-    levels: tuple[tuple[StoredStretch, ...], ...]
-
-    @property
-    def start(self) -> float:
-        """Where the timeline begins [s]."""
-        return self.starts[0]
-
-    @property
-    def stop(self) -> float:
-        """Where it ends [s]."""
-        return self.stops[-1]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -174,16 +158,6 @@ class Plan:
     def compared(self) -> bool:
         """Whether there are shapes to compare: several, of several outputs each."""
         return len(self.shapes) > 1 and len(self.fit_paths) > 1
-
-    @property
-    def start(self) -> float:
-        """Where the timeline begins [s]."""
-        return self.data.start
-
-    @property
-    def stop(self) -> float:
-        """Where it ends [s]."""
-        return self.data.stop
 
 
 def planned(identification: Identification, geometry: "Geometry | None" = None) -> Plan:

@@ -16,7 +16,7 @@ every plot. The entity `data/records` says where each one stands.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal, Protocol
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
@@ -172,28 +172,29 @@ LATEST: Final = 9.2e9
 """Reject times beyond this [s]: Rerun counts nanoseconds, with 63 bits."""
 
 
-class TrackPlan(Protocol):
-    """Where each record stands on the timeline, and how finely it is stored; see `modal.recording.plan`."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class StoredRecords:
+    """Where each record stands on the timeline, and how finely it is stored.
 
-    @property
-    def starts(self) -> tuple[float, ...]:
-        """When each record begins on the timeline [s]."""
+    Attributes:
+        starts: when each record begins on the timeline [s].
+        stops: when each ends [s].
+        levels: the stretches in which each is stored.
+    """
 
-    @property
-    def levels(self) -> tuple[tuple[StoredStretch, ...], ...]:
-        """The stretches in which each record is stored."""
-
-
-class Span(Protocol):
-    """Where the timeline begins and ends; see `modal.recording.plan`."""
+    starts: tuple[float, ...]
+    stops: tuple[float, ...]
+    levels: tuple[tuple[StoredStretch, ...], ...]
 
     @property
     def start(self) -> float:
-        """Where it begins [s]."""
+        """Where the timeline begins [s]."""
+        return self.starts[0]
 
     @property
     def stop(self) -> float:
         """Where it ends [s]."""
+        return self.stops[-1]
 
 
 def stored_levels(
@@ -259,7 +260,7 @@ class Line:
     width: float = 1.2
 
 
-def time_axis(records: Sequence[Record], plan: TrackPlan) -> FloatArray:
+def time_axis(records: Sequence[Record], plan: StoredRecords) -> FloatArray:
     """(n_stored,) times of the stored samples of all records on the timeline [s], one between records for the gap."""
     parts = []
     for record, start, kept in zip(records, plan.starts, plan.levels, strict=True):
@@ -268,30 +269,13 @@ def time_axis(records: Sequence[Record], plan: TrackPlan) -> FloatArray:
     return np.concatenate(parts[:-1])
 
 
-def log_series(
-    recording: "rerun.RecordingStream",
-    path: str,
-    times: FloatArray,
-    channels: Sequence[FloatArray],
-    *,
-    plan: TrackPlan,
-    name: str,
-    colour: Colour,
-    width: float = 1.2,
-    interpolation: Interpolation = "Linear",
-) -> None:
-    """One channel of all records as one entity."""
-    line = Line(channels=channels, name=name, colour=colour, width=width)
-    log_lines(recording, path, times, [line], plan=plan, interpolation=interpolation)
-
-
 def log_lines(
     recording: "rerun.RecordingStream",
     path: str,
     times: FloatArray,
     lines: Sequence[Line],
     *,
-    plan: TrackPlan,
+    plan: StoredRecords,
     interpolation: Interpolation = "Linear",
 ) -> None:
     """Several channels of all records as one entity, painted in their order: two in one take a third less than apart.
@@ -322,7 +306,7 @@ def log_lines(
     recording.log(path, style, static=True, strict=True)
 
 
-def _stored(channels: Sequence[FloatArray], plan: TrackPlan) -> FloatArray:
+def _stored(channels: Sequence[FloatArray], plan: StoredRecords) -> FloatArray:
     """What is kept of a channel, the records one after the other with a nan between them."""
     gap = np.array([np.nan])
     parts = [part for values, kept in zip(channels, plan.levels, strict=True) for part in (thinned(values, kept), gap)]

@@ -43,7 +43,7 @@ from modal.recording.identification.record import log_record_page, record_page
 from modal.recording.identification.shapes import Swinging
 from modal.recording.identification.validation import log_validation_page, validation_page
 from modal.recording.plan import Gathered, Plan, cell, gather, label, name_with_unit, planned
-from modal.recording.series import TIMELINE, Span
+from modal.recording.series import TIMELINE, StoredRecords
 from modal.recording.tables import WordLimits, bullets, log_table, log_text, table
 from modal.sections.discrepancy_stages import level_lines
 from okid.arrays import require
@@ -68,12 +68,12 @@ SECONDS_AN_ORDER: Final = 0.25
 
 def blueprint(identification: Identification, plan: Plan, evidence: Gathered) -> "rerun.blueprint.Blueprint":
     """The whole layout for one identification."""
-    return whole_blueprint(_pages(identification, plan, evidence), plan)
+    return whole_blueprint(_pages(identification, plan, evidence), plan.data)
 
 
 def whole_blueprint(
     pages: Sequence[Any],
-    plan: Span,
+    plan: StoredRecords,
     *,
     length: float = Swinging.PERIODS * SECONDS_A_PERIOD,
     a_place: float = SECONDS_AN_ORDER,
@@ -112,11 +112,11 @@ def _pages(identification: Identification, plan: Plan, evidence: Gathered) -> li
         modes_page(identification, plan),
         validation_page(identification, plan, evidence),
     ]
-    show_whole_record(pages[0], plan)
+    show_whole_record(pages[0], plan.data)
     return pages
 
 
-def show_whole_record(page: Any, plan: Span) -> None:
+def show_whole_record(page: Any, plan: StoredRecords) -> None:
     """Let all linked views open on the whole timeline: their common range is kept with one view of a fixed identity."""
     views = [page]
     while not isinstance(views[0], rrb.TimeSeriesView):
@@ -287,7 +287,7 @@ def log_identification(
             log_modes_page(identification, recording, plan)
             if layout == "send":
                 pages = [response_page(), _order_page(identification), modes_page(identification, plan)]
-                recording.send_blueprint(whole_blueprint(pages, plan))
+                recording.send_blueprint(whole_blueprint(pages, plan.data))
             return
         evidence = gather(identification, quality)
         log_record_page(identification.records, recording, plan.data, evidence.quality)

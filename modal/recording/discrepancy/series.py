@@ -16,7 +16,16 @@ from modal.localisation.gap import Gap
 from modal.plots.discrepancy import STAGE_ROLES
 from modal.recording.figure import COLOURS, Palette, rr
 from modal.recording.plan import Views, name_with_unit, path_parts
-from modal.recording.series import TIMELINE, StoredStretch, laid_out, log_series, row_budget, stored_levels, time_axis
+from modal.recording.series import (
+    TIMELINE,
+    Line,
+    StoredRecords,
+    laid_out,
+    log_lines,
+    row_budget,
+    stored_levels,
+    time_axis,
+)
 from modal.recording.tables import log_table
 from modal.sections.discrepancy_stages import Stage, gap_of, ran_through, rows_of, stages_of, worst_outputs
 from modal.sections.discrepancy_values import hypothesis_text, times_floor
@@ -29,7 +38,7 @@ SERIES_PER_OUTPUT: Final = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class DiscrepancyPlan:
+class DiscrepancyPlan(StoredRecords):
     """What is shown, where it is stored and when it plays.
 
     Attributes:
@@ -41,9 +50,6 @@ class DiscrepancyPlan:
         shown_outputs: outputs that have views of their own, those with the largest gap.
         output: the one with the largest gap, which plays step by step.
         record: the held-out record with the largest gap, which plays step by step.
-        starts: when each held-out record begins on the timeline [s].
-        stops: when each ends [s].
-        levels: how finely each record is stored, stretch by stretch.
     """
 
     stages: tuple[Stage, ...]
@@ -54,19 +60,6 @@ class DiscrepancyPlan:
     shown_outputs: tuple[int, ...]
     output: int
     record: int
-    starts: tuple[float, ...]
-    stops: tuple[float, ...]
-    levels: tuple[tuple[StoredStretch, ...], ...]
-
-    @property
-    def start(self) -> float:
-        """Where the timeline begins [s]."""
-        return self.starts[0]
-
-    @property
-    def stop(self) -> float:
-        """Where it ends [s]."""
-        return self.stops[-1]
 
 
 def planned_diagnosis(diagnosis: Diagnosis) -> DiscrepancyPlan:
@@ -113,40 +106,17 @@ def log_histories(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan
     for output, path in enumerate(plan.output_paths):
         measured = [record.outputs[:, output] for record in diagnosis.held_out]
         name = name_with_unit(first.output_names[output], first.output_units[output])
-        log_series(
-            recording,
-            f"{path}/run/0_measured",
-            times,
-            measured,
-            plan=plan,
-            name=f"{name} measured",
-            colour=Palette.BLUE,
-            width=3.0,
-        )
+        line = Line(channels=measured, name=f"{name} measured", colour=Palette.BLUE, width=3.0)
+        log_lines(recording, f"{path}/run/0_measured", times, [line], plan=plan)
         for stage in plan.stages:
             colour = COLOURS[STAGE_ROLES[stage.kind]]
             simulated = [run.outputs[:, output] for run in stage.gap.simulated]
             gap = [residual[:, output] for residual in stage.gap.residuals]
             part = stage_part(stage)
-            log_series(
-                recording,
-                f"{path}/run/1_{part}",
-                times,
-                simulated,
-                plan=plan,
-                name=f"simulated {stage.name}",
-                colour=colour,
-            )
-            log_series(
-                recording,
-                f"{path}/gap/{part}",
-                times,
-                gap,
-                plan=plan,
-                name=f"gap {stage.name}",
-                colour=colour,
-                width=1.0,
-            )
+            line = Line(channels=simulated, name=f"simulated {stage.name}", colour=colour)
+            log_lines(recording, f"{path}/run/1_{part}", times, [line], plan=plan)
+            line = Line(channels=gap, name=f"gap {stage.name}", colour=colour, width=1.0)
+            log_lines(recording, f"{path}/gap/{part}", times, [line], plan=plan)
         _log_noise(diagnosis, recording, plan, output=output, path=path)
 
 

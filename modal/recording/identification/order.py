@@ -81,7 +81,7 @@ def log_poles(recording: "rerun.RecordingStream", panel: Panel, evidence: OrderE
         )
         recording.log(entity, style, static=True, strict=True)
     whole = rr.Points2D.columns(positions=places, colors=colours, labels=texts).partition([len(points)])
-    recording.send_columns(f"{path}/poles", [rr.TimeColumn(TIMELINE, duration=[plan.start])], whole, strict=True)
+    recording.send_columns(f"{path}/poles", [rr.TimeColumn(TIMELINE, duration=[plan.data.start])], whole, strict=True)
     line = np.stack([seen_at(panel, [low, high], [step, step]) for step in steps])
     columns = rr.LineStrips2D.columns(strips=line)
     recording.send_columns(f"{path}/order_now", index, columns, strict=True)
@@ -122,7 +122,7 @@ def log_order_texts(evidence: OrderEvidence, recording: "rerun.RecordingStream",
         texts = [order_text(evidence, order) for order in shown]
         columns = rr.TextDocument.columns(text=texts, media_type=[rr.MediaType.MARKDOWN] * len(texts))
         at = (
-            rr.TimeColumn(timeline, duration=[plan.start])
+            rr.TimeColumn(timeline, duration=[plan.data.start])
             if timeline == TIMELINE
             else rr.TimeColumn(timeline, sequence=shown)
         )

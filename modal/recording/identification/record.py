@@ -28,7 +28,7 @@ from modal.recording.figure import (
 )
 from modal.recording.identification.fit import inputs_view
 from modal.recording.plan import DataPlan, Views, cell, label, name_with_unit
-from modal.recording.series import TIMELINE, log_series, time_axis
+from modal.recording.series import TIMELINE, Interpolation, Line, log_lines, time_axis
 from modal.recording.tables import WordLimits, bullets, known, log_table, log_text, table, unit_cell
 from okid.record import Record
 
@@ -141,19 +141,17 @@ def _log_channels(records: Sequence[Record], recording: "rerun.RecordingStream",
     times = time_axis(records, plan)
     first = records[0]
     for i, path in enumerate(plan.input_paths):
-        log_series(
-            recording,
-            path,
-            times,
-            [record.inputs[:, i] for record in records],
-            plan=plan,
+        line = Line(
+            channels=[record.inputs[:, i] for record in records],
             name=name_with_unit(first.input_names[i], first.input_units[i]),
             colour=COLOURS[INPUT_ROLES[i % len(INPUT_ROLES)]],
-            interpolation="StepAfter" if first.input_hold == "zero_order" else "Linear",
         )
+        between: Interpolation = "StepAfter" if first.input_hold == "zero_order" else "Linear"
+        log_lines(recording, path, times, [line], plan=plan, interpolation=between)
     for i, path in enumerate(plan.output_paths):
         channels = [record.outputs[:, i] for record in records]
-        log_series(recording, path, times, channels, plan=plan, name="measured", colour=Palette.BLUE, width=3.0)
+        line = Line(channels=channels, name="measured", colour=Palette.BLUE, width=3.0)
+        log_lines(recording, path, times, [line], plan=plan)
 
 
 def _log_places(records: Sequence[Record], recording: "rerun.RecordingStream", plan: DataPlan) -> None:

@@ -132,7 +132,7 @@ def log_shape(mode: Mode, number: int, recording: "rerun.RecordingStream", plan:
     _log_structure(path, recording, scene, named=len(plan.shapes) <= Still.NAMED_SHAPES)
     _log_envelope(path, recording, scene, pace, envelope_of(motion))
     n_frames = pace.periods * pace.frames
-    times = np.linspace(plan.start, max(plan.stop, plan.start + 1e-3), n_frames)
+    times = np.linspace(plan.data.start, max(plan.data.stop, plan.data.start + 1e-3), n_frames)
     moving = _Moving(
         rest=scene.positions,
         motion=motion,
