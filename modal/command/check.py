@@ -1,6 +1,5 @@
 """`modal-report check`: the quality of the data, without an identification; the worst findings come first."""
 
-import contextlib
 import json
 import math
 from collections.abc import Sequence
@@ -21,6 +20,7 @@ from modal.quality.check import check_quality, expected_check
 from modal.quality.findings import ChannelQuality, DataQuality
 from modal.wording.text import shorten, whole_percent
 from okid.errors import InvalidDataError
+from okid.readers.guard import complete_file
 from okid.record import Record
 
 _COLOURS = {"bad": "red", "doubtful": "yellow", "note": "bright_black", "good": "green"}
@@ -195,15 +195,9 @@ def _known(number: float) -> float | None:
 
 def _write(path: Path, text: str) -> None:
     """The whole file or none of it."""
-    beside = path.with_name(f".{path.name}.part")
     try:
-        try:
-            beside.write_text(text, encoding="utf-8")
-            beside.replace(path)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                beside.unlink(missing_ok=True)
-            raise
+        with complete_file(path) as part:
+            part.write_text(text, encoding="utf-8")
     except OSError as error:
         raise InvalidDataError(f"{path} could not be written ({error.strerror}); choose another place.") from error
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -15,6 +15,7 @@ from modal.comparison.changes import Comparison, Difference, ModePair, compare_r
 from modal.comparison.shifts import Shift, read_result
 from modal.report.comparison import refuse_existing_comparison, write_comparison
 from modal.wording.text import hertz
+from okid.readers.guard import Existing
 
 _ORDER = ("beyond chance", "perhaps chance", "within its interval", "not known")
 _COLOURS = {
@@ -109,7 +110,7 @@ def diff(
     unreadable input.
     """
     with faults(show=traceback):
-        existing: Literal["refuse", "replace"] = "replace" if overwrite else "refuse"
+        existing: Existing = "replace" if overwrite else "refuse"
         if folder is not None:
             refuse_existing_comparison(folder, existing)
         comparison = compare_results(read_result(before), read_result(after))

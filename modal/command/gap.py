@@ -38,6 +38,7 @@ from modal.sections.provenance import Provenance, fingerprints
 from modal.structure.model_file import read_model
 from modal.wording.text import listed
 from okid.errors import InvalidDataError
+from okid.readers.guard import Existing
 from okid.record import InputHold, Record
 
 _TRUST = {"carried": "bold green", "with care": "bold yellow", "not carried": "bold red"}
@@ -148,7 +149,7 @@ class GapJob:
     hold: InputHold
     catalogue: list[str] | None
     folder: Path
-    existing: Literal["refuse", "replace"]
+    existing: Existing
     printed: bool = False
     budget: float | None = None
 

@@ -62,6 +62,7 @@ from modal.wording.text import shorten
 from okid.errors import IdentificationWarning, InvalidDataError, visible
 from okid.frequency_response import FrequencyResponse
 from okid.readers import read_described
+from okid.readers.guard import Existing
 from okid.readers.response import holds_responses, read_response
 from okid.record import InputHold, Record
 
@@ -82,7 +83,7 @@ def read_setup(job: "Job") -> tuple[Specification | None, Geometry | None]:
     return specification, None if specification is None else specification.geometry
 
 
-def refuse_pdf(pdf: Path, existing: Literal["refuse", "replace"]) -> None:
+def refuse_pdf(pdf: Path, existing: Existing) -> None:
     """Raise before any work is done when a report could not be printed.
 
     Raises:
@@ -160,7 +161,7 @@ class Job:
     """What to do with the records, wherever they come from."""
 
     folder: Path
-    existing: Literal["refuse", "replace"]
+    existing: Existing
     observer_order: int | Auto = "auto"
     ridge: float | Auto = "auto"
     order: int | Auto = "auto"

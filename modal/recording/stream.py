@@ -6,7 +6,6 @@ further page is one function more in `_pages` or in `diagnosis_blueprint`.
 
 import hashlib
 import os
-import secrets
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -48,6 +47,7 @@ from modal.recording.tables import WordLimits, bullets, log_table, log_text, tab
 from modal.sections.discrepancy_stages import level_lines
 from okid.arrays import require
 from okid.errors import InvalidDataError
+from okid.readers.guard import Existing, complete_file
 from okid.record import Record
 
 if TYPE_CHECKING:
@@ -332,7 +332,7 @@ def save_recording(
     result: Identification | Diagnosis,
     path: str | os.PathLike[str],
     *,
-    existing: Literal["refuse", "replace"] = "refuse",
+    existing: Existing = "refuse",
     geometry: "Geometry | None" = None,
     quality: "DataQuality | None" = None,
 ) -> Path:
@@ -382,7 +382,7 @@ def write_stream(
     name: str,
     log: "Callable[[rerun.RecordingStream], None]",
     *,
-    existing: Literal["refuse", "replace"] = "replace",
+    existing: Existing = "replace",
 ) -> Path:
     """One recording into one file, which appears under its name when it is complete.
 
@@ -407,13 +407,9 @@ def write_stream(
         log(recording)
     content = memory.drain_as_bytes()
     recording.disconnect()
-    part = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
-    try:
+    with complete_file(path) as part:
         part.write_bytes(content)
         _check_free(path, existing)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
     return path
 
 
@@ -459,7 +455,7 @@ def _digest_records(digest: "hashlib.blake2b", records: Sequence[Record]) -> Non
         digest.update(record.outputs[::step].tobytes())
 
 
-def _check_free(target: Path, existing: Literal["refuse", "replace"]) -> None:
+def _check_free(target: Path, existing: Existing) -> None:
     if target.is_dir():
         raise InvalidDataError(f"{target} is a folder; name a file for the recording.")
     if existing == "refuse" and target.exists():

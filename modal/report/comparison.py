@@ -11,11 +11,12 @@ from modal.comparison.changes import Comparison, ModePair, Unmatched
 from modal.comparison.shifts import ResultSummary, Shift
 from modal.identification.words import damping_text
 from modal.modes.mode import Mode
-from modal.report.folder import Existing, refuse_names, write_folder
+from modal.report.folder import refuse_names, write_folder
 from modal.report.machine import as_json
 from modal.report.pages import environment
 from modal.sections.provenance import installed_version
 from modal.wording.text import fit_text, hertz, ratio_text
+from okid.readers.guard import Existing
 
 MIDDLE, ARM = 100.0, 92.0
 """Of a drawn interval, in a box 200 wide: the line of no change, and the longest arm to either side."""

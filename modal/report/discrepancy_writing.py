@@ -19,7 +19,7 @@ import numpy as np
 from modal import recording
 from modal.discrepancy.results import Diagnosis, Finding, in_words
 from modal.plots import discrepancy as plots
-from modal.report.folder import Existing, refuse_names, write_folder
+from modal.report.folder import refuse_names, write_folder
 from modal.report.machine import as_json, number_cell, record_document
 from modal.report.pages import environment, hold_text, inline
 from modal.report.pictures import Picture, drawn
@@ -50,6 +50,7 @@ from modal.structure.structural_model import StructuralModel
 from modal.wording.text import MOST_NAMED, NINETY_FIVE, csv_cell, exact_percent, number, shorten
 from okid.arrays import FloatArray
 from okid.errors import visible
+from okid.readers.guard import Existing
 
 DIAGNOSIS_SCHEMA = "modal-report-discrepancy/1"
 """Name and version of the layout; the number rises when a reader of the old layout would go wrong."""

@@ -15,12 +15,12 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from types import FrameType
-from typing import Literal
 
 if sys.platform != "win32":  # there, a rename onto what is there fails by itself
     import fcntl
 
 from okid.errors import InvalidDataError
+from okid.readers.guard import Existing
 
 STOPS = tuple(
     number
@@ -53,10 +53,6 @@ def uninterrupted() -> Iterator[None]:
             signal.signal(number, handler)
         if asked:
             signal.raise_signal(asked[0][0])
-
-
-Existing = Literal["refuse", "replace"]
-"""What to do with files of a report that are already there."""
 
 
 def write_folder(

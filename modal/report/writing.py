@@ -30,13 +30,14 @@ from modal.geometry.sensors import Geometry, Motions, Sensor, dof_of, motion_of
 from modal.identification.result import Identification, write_parts
 from modal.modes.mode import Mode, numbered
 from modal.report.discrepancy_writing import DiagnosisFiles, write_diagnosis
-from modal.report.folder import Existing, refuse_names, write_folder
+from modal.report.folder import refuse_names, write_folder
 from modal.report.machine import csv_text, json_text, schema_text
 from modal.report.pages import html_text, markdown_text
 from modal.report.pictures import Setting, draw_pictures, setting_of
 from modal.sections.provenance import Provenance
 from okid.arrays import ComplexArray, require
 from okid.errors import InvalidDataError
+from okid.readers.guard import Existing
 from okid.readers.uff import DATA_TYPES
 
 if TYPE_CHECKING:
