@@ -38,16 +38,13 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import Any, Final, Literal
 
 from modal.geometry.file import MOST_TEXT, geometry_of_table, read_geometry
-from modal.geometry.sensors import quoted
+from modal.geometry.sensors import Geometry, quoted
 from modal.wording.text import shorten
 from okid.display import Displayed
 from okid.errors import InvalidDataError, UnreadableFileError, visible
-
-if TYPE_CHECKING:
-    from modal.geometry.sensors import Geometry
 
 Range = tuple[float, float]
 """Lowest and highest value, both allowed."""
@@ -348,7 +345,7 @@ class Specification(Displayed):
     date: dt.date | None = None
     notes: str = ""
     sensors: tuple[SensorNote, ...] = ()
-    geometry: "Geometry | None" = None
+    geometry: Geometry | None = None
     limits: tuple[AcceptanceLimit, ...] = ()
 
 
@@ -419,7 +416,7 @@ def _sensors(table: TomlTable) -> tuple[SensorNote, ...]:
     return tuple(notes)
 
 
-def _geometry(table: TomlTable, path: Path) -> "Geometry | None":
+def _geometry(table: TomlTable, path: Path) -> Geometry | None:
     if not table.has("geometry"):
         return None
 

@@ -14,7 +14,7 @@ import sys
 import unicodedata
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from rich.console import Console
 from rich.progress import BarColumn, ProgressColumn, Task, TaskProgressColumn, TextColumn
@@ -28,14 +28,12 @@ from modal.examples.demo import ModeComparison
 from modal.identification.result import Identification
 from modal.identification.words import damping_text, frequency_text, trust_of
 from modal.modes.mode import Mode, numbered
+from modal.quality import DataQuality
 from modal.recording.live import live_recording
 from modal.report.writing import ReportFiles
 from modal.sections.words import data_sentences, modes_headline, next_sentences, remark_of
 from modal.wording.text import hertz, shorten
 from okid.errors import visible
-
-if TYPE_CHECKING:
-    from modal.quality import DataQuality
 
 
 class Shown:
@@ -116,7 +114,7 @@ def show_result(
     *,
     remarks: Sequence[str] = (),
     limits: Sequence[LimitOutcome] = (),
-    quality: "DataQuality | None" = None,
+    quality: DataQuality | None = None,
 ) -> None:
     """Headline, how sure, what to do, mode table, limits of acceptance, warnings."""
     judgement = trust_of(result)

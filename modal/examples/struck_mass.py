@@ -44,7 +44,7 @@ from era.balanced import realise
 from modal.examples.story import command_line, print_written
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel
-from modal.plots.layout import Chart, Key, grid_of
+from modal.plots.layout import Chart, Key, grid_of, one_panel
 from modal.plots.panels import Role
 from modal.plots.vector import page_of, svg_text
 from okid.arrays import FloatArray, frozen
@@ -265,8 +265,7 @@ def draw_reduction(result: "Study") -> Chart:
         ("A = U U' H(2) Hr^+  (with the projector)", result.truncated, "system"),
         ("A = H(2) Hr^+  (without)", truncated_model(result.samples, order, projector="none"), "residual"),
     )
-    figure = grid_of(1, 1, size=(7, 3.6))
-    panel = figure.panels[0]
+    figure, panel = one_panel(7, 3.6)
     tick = result.truth.dt * np.arange(n_samples)
     for label, model, role in models:
         difference = np.abs(sampled_pulse(model, n_samples) - reduced) / np.abs(reduced).max()

@@ -8,7 +8,7 @@ import numpy as np
 from modal.discrepancy.results import Diagnosis, Hypothesis, LawCurve, Step, in_words
 from modal.localisation.gap import Gap
 from modal.plots.histories import mark_moment
-from modal.plots.layout import Chart, Key, grid_of, row_of
+from modal.plots.layout import Chart, Key, grid_of, one_panel, row_of
 from modal.plots.panels import IN_TURN, STYLE, Panel, Role, envelope
 from modal.plots.responses import density_label
 from modal.sections.discrepancy_stages import GapDensity, LevelLine, Row, Stage, gap_density
@@ -80,8 +80,7 @@ def answer_charts(stages: Sequence[Stage], *, record: int, output: int) -> tuple
     low, high = (float(end(np.stack([seen, *simulated]))) for end in (np.nanmin, np.nanmax))
     charts = []
     for stage, values in zip(shown, simulated, strict=True):
-        figure = grid_of(1, 1, size=(0.5 * STYLE.page, 2.6))
-        panel = figure.panels[0]
+        figure, panel = one_panel(0.5 * STYLE.page, 2.6)
         panel.line(time, seen, "measured", width=STYLE.under, opacity=STYLE.half, label="measured")
         panel.line(time, values, STAGE_ROLES[stage.kind], label="simulated")
         size = times_text(float(np.sqrt(stage.gap.in_floors.mean())))
@@ -149,8 +148,7 @@ def before_and_after(rows: Sequence[Row], stages: Sequence[Stage]) -> Chart:
 def hypothesis_bars(hypotheses: Sequence[Hypothesis], *, chosen: Hypothesis | None = None) -> Chart:
     """What each set of effects leaves on held-out data, in times of the noise floor, the best first."""
     shown = list(hypotheses[:MOST_BARS])
-    figure = grid_of(1, 1, size=(STYLE.page, 0.95 + 0.34 * max(len(shown), 1)))
-    panel = figure.panels[0]
+    figure, panel = one_panel(STYLE.page, 0.95 + 0.34 * max(len(shown), 1))
     sizes = [times_floor(one.held_out_level) for one in shown]
     highest = max([3.0, *(size for size in sizes if np.isfinite(size))])
     start = min([0.7, *(0.8 * size for size in sizes if np.isfinite(size))])
@@ -171,8 +169,7 @@ def hypothesis_bars(hypotheses: Sequence[Hypothesis], *, chosen: Hypothesis | No
 
 def shrinking_gap(steps: Sequence[Step]) -> Chart:
     """What is left after each step, on the records fitted to and on the held-out ones, in times of the noise floor."""
-    figure = grid_of(1, 1, size=(STYLE.page, 3.2))
-    panel = figure.panels[0]
+    figure, panel = one_panel(STYLE.page, 3.2)
     place = np.arange(len(steps))
     fitted, held_out = (
         np.array([times_floor(level) for level in levels])

@@ -7,7 +7,7 @@ import numpy as np
 
 from modal.identification.result import OrderEvidence
 from modal.modes.mode import ModalModel
-from modal.plots.layout import Chart, Key, grid_of
+from modal.plots.layout import Chart, Key, one_panel
 from modal.plots.panels import STYLE, Panel, Role
 from modal.sections.discrepancy_stages import power_spectra
 from modal.verdict.stabilisation import StabilisationPoint
@@ -41,8 +41,7 @@ POLE_ROLES: Final[tuple[Role, ...]] = ("noise", "doubtful", "measured", "system"
 
 def singular_values(evidence: OrderEvidence, *, limit: int = 120) -> Chart:
     """Singular values of the scaled block Hankel matrix on a log axis: kept, dropped, and where the widest gap is."""
-    figure = grid_of(1, 1, size=(5.2, 3.3))
-    panel = figure.panels[0]
+    figure, panel = one_panel(5.2, 3.3)
     values = np.asarray(evidence.singular_values)[:limit]
     if not values.size or values.max() <= 0:
         panel.word(0.5, 0.5, "no singular values are known", "muted", anchor="middle")
@@ -64,8 +63,7 @@ def singular_values(evidence: OrderEvidence, *, limit: int = 120) -> Chart:
 
 def order_fits(evidence: OrderEvidence) -> Chart:
     """Cross-validated fit against model order; a very bad one stands at the edge, an unstable one has a mark there."""
-    figure = grid_of(1, 1, size=(5.2, 3.3))
-    panel = figure.panels[0]
+    figure, panel = one_panel(5.2, 3.3)
     orders, fits = np.asarray(evidence.candidate_orders, dtype=float), np.asarray(evidence.candidate_fits, dtype=float)
     there = np.isfinite(fits)
     if not orders.size:
@@ -94,8 +92,7 @@ def stabilisation_diagram(evidence: OrderEvidence, modes: ModalModel, *, measure
         modes: of the chosen order; the system modes are marked above.
         measured: records whose mean output spectrum is drawn behind.
     """
-    figure = grid_of(1, 1, size=(STYLE.page, 4.6))
-    panel = figure.panels[0]
+    figure, panel = one_panel(STYLE.page, 4.6)
     nyquist = 0.5 / modes.dt
     highest = max([evidence.order, *(point.order for point in evidence.stabilisation)])
     frequency, power = _mean_spectrum(measured) if measured else (np.zeros(0), np.zeros(0))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, Literal, cast
 
 import numpy as np
 
-from modal.plots.layout import INCH, Chart
+from modal.plots.layout import INCH, Chart, one_panel
 from modal.plots.panels import COLOURS, STYLE, Area, Curve, Mark, Panel
 from okid.errors import InvalidDataError
 
@@ -24,7 +24,7 @@ from modal.modes.mode import Mode
 from modal.modes.response_synthesis import MeasuredFrf, frf, measured_frf, modal_frf, tabled_frf
 from modal.modes.shape_comparison import assurance as mac
 from modal.plots.histories import measured_against_simulated
-from modal.plots.layout import Key, grid_of
+from modal.plots.layout import Key
 from modal.plots.order import mark_modes, stabilisation_diagram
 from modal.plots.panels import Role
 from modal.plots.responses import model_grid, output_spectra, response_chart
@@ -73,8 +73,6 @@ def figure_of(chart: Chart, *, axes: "Axes | Sequence[Axes] | None" = None) -> "
     for panel, one in zip(chart.panels, given, strict=True):
         _draw(panel, one)
     figure = cast("Figure", given[0].figure)
-    if chart.title:
-        figure.suptitle(chart.title, fontsize=STYLE.head)
     if chart.key is not None:
         keyed = given[chart.panels.index(chart.key.panel)]
         handles, names = keyed.get_legend_handles_labels()
@@ -280,8 +278,7 @@ def overview(result: Identification) -> Chart:
     total[total == 0] = 1.0
     mean = [np.nanmean(power / total, axis=1) for power in (measured, model)]
     peak = max(float(np.nanmax(mean[0], initial=0.0)), np.finfo(float).tiny)
-    figure = grid_of(1, 1, size=(STYLE.page, 2.6))
-    panel = figure.panels[0]
+    figure, panel = one_panel(STYLE.page, 2.6)
     seen, lowest = frequency >= low, 0.0
     lines: tuple[tuple[FloatArray, Role, float], ...] = (
         (mean[0], "measured", STYLE.under),

@@ -13,7 +13,7 @@ from modal.geometry.placement import at_rest, guessed_grid, placed, stated_dofs
 from modal.geometry.scene import Scene, scene_of
 from modal.geometry.sensors import Geometry
 from modal.modes.mode import Mode
-from modal.plots.layout import Chart, grid_of, row_of
+from modal.plots.layout import Chart, one_panel, row_of
 from modal.plots.panels import STYLE, Panel, Role, text_width
 from modal.wording.text import hertz, plot_label
 from okid.arrays import ComplexArray, FloatArray
@@ -137,7 +137,6 @@ def mode_shapes(
     output_names: Sequence[str],
     output_units: Sequence[str] = (),
     geometry: Geometry | None = None,
-    title: str = "",
 ) -> Chart:
     """Every mode on the geometry, at rest and at both ends of its motion, all seen from the same side.
 
@@ -148,7 +147,7 @@ def mode_shapes(
         InvalidDataError: no output has a place in the geometry.
     """
     if geometry is None and not stated_dofs(output_names) and not guessed_grid(output_names, output_units):
-        return _in_a_row(modes, output_names=output_names, title=title)
+        return _in_a_row(modes, output_names)
     scene = scene_of(placed(geometry, output_names, output_units))
     motions = [scene.motion(mode).real for mode in modes]
     rest = scene.positions
@@ -165,7 +164,6 @@ def mode_shapes(
         _draw_points(panel, scene, rest + motion, mode.verdict)
         frame.put(panel)
         panel.head, panel.centred = f"{hertz(mode.frequency)} Hz", True
-    figure.title = plot_label(title, limit=80)
     return figure
 
 
@@ -182,8 +180,7 @@ def geometry_picture(geometry: Geometry, *, output_names: Sequence[str] = ()) ->
     frame = frame_of(scene, [rest, *((tail + arrow)[np.newaxis] for tail, arrow in arrows)])
     width = float(np.clip(4.2 / frame.aspect, 2.6, 7.5))
     height = min(width * frame.aspect, TALLEST)
-    figure = grid_of(1, 1, size=(width, height))
-    panel = figure.panels[0]
+    figure, panel = one_panel(width, height)
     draw_surfaces(panel, scene, rest, "measured", opacity=STYLE.faint)
     draw_lines(panel, scene, rest, "muted", width=STYLE.stroke)
     ends = [scene.eye.seen(np.array([tail, tail + arrow])) for tail, arrow in arrows[: ShapeLimits.MOST_ARROWS]]
@@ -220,7 +217,7 @@ def _draw_points(panel: Panel, scene: Scene, positions: FloatArray, role: Role) 
         panel.dots(seen[fixed, 0], seen[fixed, 1], "muted", dot=5.5, square=True)
 
 
-def _in_a_row(modes: Sequence[Mode], *, output_names: Sequence[str], title: str) -> Chart:
+def _in_a_row(modes: Sequence[Mode], output_names: Sequence[str]) -> Chart:
     height = float(np.clip(0.26 * len(output_names) + 1.4, 2.4, 6.5))
     figure = row_of(len(modes), most_columns=ShapeLimits.MOST_COLUMNS, width=STYLE.page, height=height)
     place = np.arange(1, len(output_names) + 1)
@@ -240,7 +237,6 @@ def _in_a_row(modes: Sequence[Mode], *, output_names: Sequence[str], title: str)
         panel.y.ticks = labels[:: -(-len(labels) // ShapeLimits.MOST_NAMES)]
         panel.y.labelled, panel.edges = index % ShapeLimits.MOST_COLUMNS == 0, "below"
         panel.x.grid = panel.y.grid = False
-    figure.title = plot_label(title, limit=80)
     return figure
 
 
@@ -270,8 +266,7 @@ def assurance_matrix(matrix: FloatArray, frequencies: Sequence[float]) -> Chart:
     """
     n_modes = len(frequencies)
     side = float(np.clip(0.55 * n_modes + 1.3, 2.6, 7.5))
-    figure = grid_of(1, 1, size=(side + 0.3, side))
-    panel = figure.panels[0]
+    figure, panel = one_panel(side + 0.3, side)
     for row in range(n_modes):
         for column in range(n_modes):
             value = float(np.clip(matrix[row, column], 0.0, 1.0))

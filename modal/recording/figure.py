@@ -12,17 +12,14 @@ import re
 import unicodedata
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from modal.plots.layout import Chart, grid_of
+from modal.plots.layout import Chart
 from modal.plots.panels import STYLE, Area, Curve, Mark, Panel, Role, Scale, Segments, Tick, runs
 from okid.arrays import FloatArray
-
-if TYPE_CHECKING:
-    import rerun
 
 
 class _Later:
@@ -37,6 +34,12 @@ class _Later:
 
 rr: Any = _Later("rerun")
 rrb: Any = _Later("rerun.blueprint")
+
+RecordingStream = Any
+"""A stream of Rerun, `rerun.RecordingStream`."""
+
+Blueprint = Any
+"""A layout of Rerun, `rerun.blueprint.Blueprint`."""
 
 DRAWN: Final = (
     *((0x20, 0x7E), (0xA0, 0xAC), (0xAE, 0x148), (0x14A, 0x17F), (0x218, 0x21B)),  # Latin
@@ -148,7 +151,7 @@ Said = tuple[float, float, str, Colour]
 """A label: the place of its middle in the view, its words and their colour."""
 
 
-def log_chart(recording: "rerun.RecordingStream", pane: Pane, chart: Chart, *, behind: float = 2.0) -> None:
+def log_chart(recording: RecordingStream, pane: Pane, chart: Chart, *, behind: float = 2.0) -> None:
     """Draw a chart below the path of its pane, everything static; it is laid out anew, in the shape of the pane.
 
     Each line, area and set of pieces is an entity, named by its label; those of several panels stand below the
@@ -179,12 +182,6 @@ def log_chart(recording: "rerun.RecordingStream", pane: Pane, chart: Chart, *, b
         for place, (name, mark) in enumerate(zip(_names(panel.marks), panel.marks, strict=True)):
             _log_mark(recording, f"{path}/{name}", panel, mark, behind + place)
         _log_words(recording, path, [*_ticks(panel), *_head(panel, lines), *_words(panel)])
-
-
-def one_panel() -> tuple[Chart, Panel]:
-    """A chart of one panel, and the panel; `log_chart` gives it the shape of its pane."""
-    chart = grid_of(1, 1, size=(STYLE.page, STYLE.page))
-    return chart, chart.panels[0]
 
 
 def seen_at(panel: Panel, x: npt.ArrayLike, y: npt.ArrayLike) -> FloatArray:
@@ -249,7 +246,7 @@ def _words_inside(chart: Chart, panel: Panel) -> None:
         panel.y.limits = (first, min(last, -0.9)) if first > last else (first, last)
 
 
-def _log_frame(recording: "rerun.RecordingStream", path: str, panel: Panel) -> None:
+def _log_frame(recording: RecordingStream, path: str, panel: Panel) -> None:
     left, top, width, height = (Drawing.ENLARGED * edge for edge in panel.box)
     right, bottom = left + width, top + height
     across = [[(x, top), (x, bottom)] for x, _ in _seen(panel, panel.x, panel.x_ticks()) if panel.x.grid]
@@ -310,7 +307,7 @@ def _words(panel: Panel) -> Iterator[Said]:
         yield x + aside, y - Drawing.ENLARGED * word.size / 3, word.text, COLOURS[word.role]
 
 
-def _log_words(recording: "rerun.RecordingStream", path: str, said: Sequence[Said]) -> None:
+def _log_words(recording: RecordingStream, path: str, said: Sequence[Said]) -> None:
     if not said:
         return
     labels = rr.Points2D(
@@ -324,7 +321,7 @@ def _log_words(recording: "rerun.RecordingStream", path: str, said: Sequence[Sai
     recording.log(f"{path}/words", labels, static=True, strict=True)
 
 
-def _log_mark(recording: "rerun.RecordingStream", path: str, panel: Panel, mark: Mark, order: float) -> None:
+def _log_mark(recording: RecordingStream, path: str, panel: Panel, mark: Mark, order: float) -> None:
     colour = colour_of(mark.role, mark.opacity)
     if isinstance(mark, Area):
         _log_area(recording, path, panel, mark, order)
@@ -357,7 +354,7 @@ def _is_inside(panel: Panel, points: FloatArray) -> npt.NDArray[np.bool_]:
     )
 
 
-def _log_dots(recording: "rerun.RecordingStream", path: str, panel: Panel, curve: Curve, order: float) -> None:
+def _log_dots(recording: RecordingStream, path: str, panel: Panel, curve: Curve, order: float) -> None:
     """The dots within the panel; where the pointer rests on one, its numbers show."""
     shown = curve.corners[_is_inside(panel, curve.corners)]
     if not len(shown):
@@ -375,7 +372,7 @@ def _log_dots(recording: "rerun.RecordingStream", path: str, panel: Panel, curve
     recording.log(path, dots, static=True, strict=True)
 
 
-def _log_area(recording: "rerun.RecordingStream", path: str, panel: Panel, area: Area, order: float) -> None:
+def _log_area(recording: RecordingStream, path: str, panel: Panel, area: Area, order: float) -> None:
     """An opaque box as strokes side by side; of a band with a name the rim, since the view cannot fill a polygon."""
     rims = [seen_at(panel, *polygon.T) for polygon in area.polygons if len(polygon)]
     if area.opacity < 1.0 and not area.label:
@@ -397,7 +394,7 @@ def _log_area(recording: "rerun.RecordingStream", path: str, panel: Panel, area:
 
 
 def _strips(
-    recording: "rerun.RecordingStream",
+    recording: RecordingStream,
     path: str,
     strips: Sequence[object],
     colour: Colour,

@@ -21,14 +21,15 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 from urllib.parse import urlsplit
 
+from modal.geometry.sensors import Geometry
 from modal.identification.result import Identification
 from modal.modes.mode import ModalModel
 from modal.quality.check import check_quality
 from modal.quality.findings import DataQuality
-from modal.recording.figure import document_view, rr, rrb
+from modal.recording.figure import Blueprint, RecordingStream, document_view, rr, rrb
 from modal.recording.identification.record import log_record_page, record_page
 from modal.recording.plan import DataPlan, cell, label, planned_data
 from modal.recording.stream import APPLICATION, log_identification, show_whole_record, strict_errors, whole_blueprint
@@ -36,15 +37,8 @@ from modal.recording.tables import log_text
 from okid.errors import IdentificationWarning, InvalidDataError
 from okid.record import Record
 
-if TYPE_CHECKING:
-    import rerun
-    import rerun.blueprint
 
-    from modal.geometry.sensors import Geometry
-    from modal.quality.findings import DataQuality
-
-
-def live_blueprint(records: Sequence[Record], plan: DataPlan, quality: DataQuality) -> "rerun.blueprint.Blueprint":
+def live_blueprint(records: Sequence[Record], plan: DataPlan, quality: DataQuality) -> Blueprint:
     """The records, and what the work is at."""
     record = record_page(records, plan, quality)
     show_whole_record(record, plan)
@@ -223,7 +217,7 @@ class LiveRecording:
 
     __slots__ = ("began", "is_lost", "start", "steps", "stream", "tell", "wire")
 
-    def __init__(self, *, stream: "rerun.RecordingStream", wire: Relay, tell: Callable[[str], None]) -> None:
+    def __init__(self, *, stream: RecordingStream, wire: Relay, tell: Callable[[str], None]) -> None:
         self.stream = stream
         self.wire = wire
         self.tell = tell
@@ -264,13 +258,13 @@ def live_recording(
             _close(live)
 
 
-def log_records(records: Sequence[Record], live: LiveRecording | None, *, quality: "DataQuality | None" = None) -> None:
+def log_records(records: Sequence[Record], live: LiveRecording | None) -> None:
     """The page "Record", as soon as the records are read."""
 
     def log(recording: LiveRecording) -> None:
         plan = planned_data(records, root=READ)
         recording.start = plan.start
-        found = quality or check_quality(records)
+        found = check_quality(records)
         log_record_page(records, recording.stream, plan, found)
         recording.stream.send_recording_name(label(records[0].name, 60))
         recording.stream.send_blueprint(live_blueprint(records, plan, found))
@@ -306,8 +300,8 @@ def log_result(
     identification: Identification,
     live: LiveRecording | None,
     *,
-    geometry: "Geometry | None" = None,
-    quality: "DataQuality | None" = None,
+    geometry: Geometry | None = None,
+    quality: DataQuality | None = None,
 ) -> None:
     """All pages, in place of what was shown while the work went on."""
     _attempt(
@@ -316,7 +310,7 @@ def log_result(
 
 
 @contextmanager
-def estimate_recording(path: Path) -> Iterator["rerun.RecordingStream"]:
+def estimate_recording(path: Path) -> Iterator[RecordingStream]:
     """A recording of windowed modes in a file, readable while it grows."""
     stream = rr.RecordingStream(APPLICATION, recording_id=f"live-{secrets.token_hex(8)}")
     stream.set_log_time_enabled(False)
@@ -328,7 +322,7 @@ def estimate_recording(path: Path) -> Iterator["rerun.RecordingStream"]:
 
 
 def log_estimate(
-    time_in_middle: float, modes: ModalModel, warnings_of_it: Sequence[str], stream: "rerun.RecordingStream"
+    time_in_middle: float, modes: ModalModel, warnings_of_it: Sequence[str], stream: RecordingStream
 ) -> None:
     """The oscillatory modes of one window against time: frequencies, damping ratios, and what must be said of it."""
     seen = [mode for mode in modes if mode.kind == "oscillatory"]

@@ -10,11 +10,12 @@ that runs from right to left and carries what follows along. Here are their path
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from era.realisation import Realisation
+from modal.geometry.sensors import Geometry
 from modal.identification.result import Identification
 from modal.modes.mode import Mode, numbered
 from modal.modes.response_synthesis import MeasuredFrf, frf, measured_frf
@@ -27,9 +28,6 @@ from okid.arrays import ComplexArray, FloatArray
 from okid.errors import InsufficientDataError, visible
 from okid.frequency_response import FEWEST_AVERAGES
 from okid.record import Record
-
-if TYPE_CHECKING:
-    from modal.geometry.sensors import Geometry
 
 LONGEST_PART: Final = 64
 """Keep so many letters of a channel name in an entity path."""
@@ -152,7 +150,7 @@ class Plan:
     modes: tuple[Mode, ...]
     shapes: tuple[int, ...]
     window: float
-    geometry: "Geometry | None" = None
+    geometry: Geometry | None = None
 
     @property
     def compared(self) -> bool:
@@ -160,7 +158,7 @@ class Plan:
         return len(self.shapes) > 1 and len(self.fit_paths) > 1
 
 
-def planned(identification: Identification, geometry: "Geometry | None" = None) -> Plan:
+def planned(identification: Identification, geometry: Geometry | None = None) -> Plan:
     """The plan for one identification.
 
     Raises:

@@ -16,17 +16,14 @@ every plot. The entity `data/records` says where each one stands.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 
-from modal.recording.figure import Colour, rr
+from modal.recording.figure import Colour, RecordingStream, rr
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 from okid.record import Record
-
-if TYPE_CHECKING:
-    import rerun
 
 
 class DiskBudget:
@@ -270,7 +267,7 @@ def time_axis(records: Sequence[Record], plan: StoredRecords) -> FloatArray:
 
 
 def log_lines(
-    recording: "rerun.RecordingStream",
+    recording: RecordingStream,
     path: str,
     times: FloatArray,
     lines: Sequence[Line],
@@ -314,7 +311,7 @@ def _stored(channels: Sequence[FloatArray], plan: StoredRecords) -> FloatArray:
 
 
 def log_sequence(
-    recording: "rerun.RecordingStream",
+    recording: RecordingStream,
     path: str,
     *,
     timeline: str,

@@ -10,13 +10,15 @@ import uuid
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 
 from modal.discrepancy.results import Diagnosis, in_words
+from modal.geometry.sensors import Geometry
 from modal.identification.result import Identification
 from modal.plots.histories import frequencies_of_records, places_of_records
+from modal.quality.findings import DataQuality
 from modal.recording.discrepancy.page import (
     GAP_TEXT,
     HYPOTHESES,
@@ -34,7 +36,18 @@ from modal.recording.discrepancy.page import (
     spectrum_pane,
 )
 from modal.recording.discrepancy.series import DiscrepancyPlan, diagnosis_tables, planned_diagnosis
-from modal.recording.figure import Pane, document_view, log_chart, plot_view, rr, rrb, series_view, tabs
+from modal.recording.figure import (
+    Blueprint,
+    Pane,
+    RecordingStream,
+    document_view,
+    log_chart,
+    plot_view,
+    rr,
+    rrb,
+    series_view,
+    tabs,
+)
 from modal.recording.identification.fit import fit_page, log_fit_page, log_response_page, response_page
 from modal.recording.identification.modes import log_modes_page, modes_page
 from modal.recording.identification.order import ORDER_FIT, ORDER_TEXT, SINGULAR_VALUES, STABILISATION, log_order_page
@@ -50,14 +63,6 @@ from okid.errors import InvalidDataError
 from okid.readers.guard import Existing, complete_file
 from okid.record import Record
 
-if TYPE_CHECKING:
-    import rerun
-    import rerun.blueprint
-
-    from modal.geometry.sensors import Geometry
-    from modal.quality.findings import DataQuality
-
-
 GLOBAL_AXIS: Final = uuid.UUID("5c0dca6a-e63f-9cf7-f657-2602590474cc")
 """The view whose time range all linked views share, by its fixed identity in Rerun's viewer (`GLOBAL_VIEW_ID`)."""
 
@@ -66,7 +71,7 @@ SECONDS_AN_ORDER: Final = 0.25
 """Play the oscillating shapes and the growing order so fast."""
 
 
-def blueprint(identification: Identification, plan: Plan, evidence: Gathered) -> "rerun.blueprint.Blueprint":
+def blueprint(identification: Identification, plan: Plan, evidence: Gathered) -> Blueprint:
     """The whole layout for one identification."""
     return whole_blueprint(_pages(identification, plan, evidence), plan.data)
 
@@ -77,7 +82,7 @@ def whole_blueprint(
     *,
     length: float = Swinging.PERIODS * SECONDS_A_PERIOD,
     a_place: float = SECONDS_AN_ORDER,
-) -> "rerun.blueprint.Blueprint":
+) -> Blueprint:
     """The pages as tabs on the timeline "time", paused at its start, everything else out of the way.
 
     Args:
@@ -147,7 +152,7 @@ SECONDS_A_STEP = 1.5
 """Let a step stand so long while the page plays."""
 
 
-def diagnosis_blueprint(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> "rerun.blueprint.Blueprint":
+def diagnosis_blueprint(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> Blueprint:
     """The whole layout for one diagnosis."""
     pages = [_discrepancy_page(diagnosis, plan)]
     if plan.step_gaps:
@@ -248,11 +253,11 @@ APPLICATION: Final = "modal-report"
 
 def log_identification(
     identification: Identification,
-    recording: "rerun.RecordingStream",
+    recording: RecordingStream,
     *,
     layout: Literal["send", "leave"] = "send",
-    geometry: "Geometry | None" = None,
-    quality: "DataQuality | None" = None,
+    geometry: Geometry | None = None,
+    quality: DataQuality | None = None,
 ) -> None:
     """Log a whole identification into a Rerun stream: "Record", "Observer fit", "Order", "Modes" and "Validation".
 
@@ -300,7 +305,7 @@ def log_identification(
 
 
 def log_diagnosis(
-    diagnosis: Diagnosis, recording: "rerun.RecordingStream", *, layout: Literal["send", "leave"] = "send"
+    diagnosis: Diagnosis, recording: RecordingStream, *, layout: Literal["send", "leave"] = "send"
 ) -> None:
     """Log a whole diagnosis into a Rerun stream: "Discrepancy", "Step by step", "Laws", "Outputs" and "Numbers".
 
@@ -333,8 +338,8 @@ def save_recording(
     path: str | os.PathLike[str],
     *,
     existing: Existing = "refuse",
-    geometry: "Geometry | None" = None,
-    quality: "DataQuality | None" = None,
+    geometry: Geometry | None = None,
+    quality: DataQuality | None = None,
 ) -> Path:
     """Write a Rerun recording of a result, to be opened with `rerun FILE`.
 
@@ -364,7 +369,7 @@ def save_recording(
         raise InvalidDataError(f"the folder {target.parent} for the recording does not exist; make it first.")
     _check_free(target, existing)
 
-    def log(recording: "rerun.RecordingStream") -> None:
+    def log(recording: RecordingStream) -> None:
         if isinstance(result, Diagnosis):
             log_diagnosis(result, recording)
         else:
@@ -380,7 +385,7 @@ def write_stream(
     path: Path,
     identity: str,
     name: str,
-    log: "Callable[[rerun.RecordingStream], None]",
+    log: Callable[[RecordingStream], None],
     *,
     existing: Existing = "replace",
 ) -> Path:
@@ -500,7 +505,7 @@ def save_batch_recording(names: Sequence[str], modes: Any, records: Any, path: P
     digest = hashlib.blake2b(repr(names).encode("utf-8", "backslashreplace"), digest_size=12)
     digest.update(frequency.tobytes() + deviation.tobytes())
 
-    def log(recording: "rerun.RecordingStream") -> None:
+    def log(recording: RecordingStream) -> None:
         chart = frequencies_of_records(places[row], frequency, verdicts, along=label)
         log_chart(recording, FREQUENCIES, chart)
         log_table(

@@ -5,24 +5,21 @@ one result compare equal (nan never equals nan).
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from modal.identification.result import Identification
-from modal.recording.figure import rr
+from modal.recording.figure import RecordingStream, rr
 from modal.recording.plan import Plan, Views, cell
 from modal.sections.words import data_sentences, modes_headline
-
-if TYPE_CHECKING:
-    import rerun
 
 MATRIX: Final = 2
 
 
 def log_table(
-    recording: "rerun.RecordingStream",
+    recording: RecordingStream,
     path: str,
     timeline: str,
     index: npt.ArrayLike,
@@ -201,6 +198,6 @@ def unit_cell(unit: str, longest: int = 12) -> str:
     return cell(unit, longest) if unit else UNKNOWN
 
 
-def log_text(recording: "rerun.RecordingStream", path: str, text: str) -> None:
+def log_text(recording: RecordingStream, path: str, text: str) -> None:
     """Words in Markdown that stand from beginning to end."""
     recording.log(path, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True, strict=True)

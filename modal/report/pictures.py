@@ -2,15 +2,17 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from era.realisation import Realisation
 from modal import plots
-from modal.acceptance.check import check_limits
+from modal.acceptance.check import LimitOutcome, check_limits
+from modal.acceptance.test_file import Specification
 from modal.geometry.placement import guessed_grid
 from modal.geometry.scene import comparison_words
+from modal.geometry.sensors import Geometry
 from modal.identification.result import Identification, OrderEvidence
 from modal.modes.response_synthesis import MeasuredFrf, measured_frf, tabled_frf
 from modal.plots.layout import Chart
@@ -25,16 +27,10 @@ from modal.plots.results import (
     synthesised_alone,
 )
 from modal.plots.vector import Notes, chart_text, svg_text
-from modal.quality import check_quality
+from modal.quality import DataQuality, check_quality
 from modal.wording.text import hertz
 from okid.arrays import FloatArray
 from okid.errors import InsufficientDataError
-
-if TYPE_CHECKING:
-    from modal.acceptance.check import LimitOutcome
-    from modal.acceptance.test_file import Specification
-    from modal.geometry.sensors import Geometry
-    from modal.quality import DataQuality
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -102,11 +98,11 @@ class Setting:
         outcomes: of each acceptance limit.
     """
 
-    specification: "Specification | None" = None
-    geometry: "Geometry | None" = None
-    quality: "DataQuality | None" = None
+    specification: Specification | None = None
+    geometry: Geometry | None = None
+    quality: DataQuality | None = None
     quality_of: str = "as used"
-    outcomes: "tuple[LimitOutcome, ...]" = ()
+    outcomes: tuple[LimitOutcome, ...] = ()
 
 
 NOTHING_BESIDES = Setting()
@@ -116,9 +112,9 @@ NOTHING_BESIDES = Setting()
 def setting_of(
     result: Identification,
     *,
-    geometry: "Geometry | None" = None,
-    specification: "Specification | None" = None,
-    quality: "DataQuality | None" = None,
+    geometry: Geometry | None = None,
+    specification: Specification | None = None,
+    quality: DataQuality | None = None,
 ) -> Setting:
     """Look at the data, and hold the result against the limits."""
     known = specification.geometry if specification is not None and geometry is None else geometry

@@ -19,16 +19,18 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, get_args, overload
+from typing import Literal, get_args, overload
 
 import numpy as np
 
 from modal import recording
+from modal.acceptance.test_file import Specification
 from modal.comparison.shifts import PART, summary_of
 from modal.discrepancy.results import Diagnosis
 from modal.geometry.sensors import Geometry, Motions, Sensor, dof_of, motion_of
 from modal.identification.result import Identification, write_parts
 from modal.modes.mode import Mode, numbered
+from modal.quality import DataQuality
 from modal.report.discrepancy_writing import DiagnosisFiles, write_diagnosis
 from modal.report.folder import refuse_names, write_folder
 from modal.report.machine import csv_text, json_text, schema_text
@@ -39,11 +41,6 @@ from okid.arrays import ComplexArray, require
 from okid.errors import InvalidDataError
 from okid.readers.guard import Existing
 from okid.readers.uff import DATA_TYPES
-
-if TYPE_CHECKING:
-    from modal.acceptance.test_file import Specification
-    from modal.quality import DataQuality
-
 
 LARGEST_KEPT = 1 << 27
 """Keep the result whole up to so many bytes of arrays: 128 MiB, a record of 8 channels and 700 000 samples with its two
@@ -135,8 +132,8 @@ def write_report(
     existing: Existing = "refuse",
     provenance: Provenance | None = None,
     geometry: Geometry | None = None,
-    specification: "Specification | None" = None,
-    quality: "DataQuality | None" = None,
+    specification: Specification | None = None,
+    quality: DataQuality | None = None,
 ) -> ReportFiles: ...
 
 
@@ -157,8 +154,8 @@ def write_report(
     existing: Existing = "refuse",
     provenance: Provenance | None = None,
     geometry: Geometry | None = None,
-    specification: "Specification | None" = None,
-    quality: "DataQuality | None" = None,
+    specification: Specification | None = None,
+    quality: DataQuality | None = None,
 ) -> ReportFiles | DiagnosisFiles:
     """Write HTML, Markdown, JSON, CSV, UFF 55 and the Rerun recording of a result into a folder, all of them or none.
 

@@ -5,17 +5,18 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from modal.discrepancy.results import Diagnosis, Finding, LawCurve
 from modal.localisation.gap import Gap
 from modal.plots.discrepancy import draw_gap_spectrum, draw_laws, hypothesis_bars, modes_against_level
+from modal.plots.layout import one_panel
 from modal.plots.panels import STYLE
 from modal.plots.responses import density_label
 from modal.recording.discrepancy.series import DiscrepancyPlan, log_histories, log_tables, stage_part
-from modal.recording.figure import Palette, Pane, log_chart, one_panel, rr, seen_at
+from modal.recording.figure import Palette, Pane, RecordingStream, log_chart, rr, seen_at
 from modal.recording.plan import cell, label, name_with_unit
 from modal.recording.series import TIMELINE, bucket_length, positions, reduced
 from modal.recording.tables import WordLimits, bullets, log_table, log_text, table, unit_cell
@@ -31,9 +32,6 @@ from modal.sections.discrepancy_values import (
     times_text,
 )
 from okid.arrays import FloatArray
-
-if TYPE_CHECKING:
-    import rerun
 
 LEVELS: Final = Pane("discrepancy/levels/plot", 1400.0, 520.0)
 
@@ -173,7 +171,7 @@ def law_panes(diagnosis: Diagnosis) -> tuple[Pane, ...]:
     return tuple(Pane(f"discrepancy/law/{k + 1:02d}/plot", width, height) for k in range(n_laws))
 
 
-def log_discrepancy_page(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
+def log_discrepancy_page(diagnosis: Diagnosis, recording: RecordingStream, plan: DiscrepancyPlan) -> None:
     """Series, spectra, hypotheses, laws, words and tables."""
     log_histories(diagnosis, recording, plan)
     log_tables(diagnosis, recording, plan)
@@ -193,7 +191,7 @@ def log_discrepancy_page(diagnosis: Diagnosis, recording: "rerun.RecordingStream
     log_text(recording, GAP_TEXT, gap_text(diagnosis, plan))
 
 
-def _log_spectra(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
+def _log_spectra(diagnosis: Diagnosis, recording: RecordingStream, plan: DiscrepancyPlan) -> None:
     """All as numbers, those of the shown outputs as lines."""
     if not plan.stages:
         return
@@ -210,13 +208,13 @@ def _log_spectra(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan:
         }
         log_table(recording, f"discrepancy/spectrum/{output + 1:02d}/numbers", "frequency_line", lines, columns)
     for output in plan.shown_outputs:
-        chart, panel = one_panel()
+        chart, panel = one_panel(STYLE.page, STYLE.page)
         draw_gap_spectrum(panel, density, plan.stages, output)
         panel.y.label, panel.key = _density_title(diagnosis, output), "best"
         log_chart(recording, spectrum_pane(output), chart)
 
 
-def _log_law(recording: "rerun.RecordingStream", law: LawCurve, number: int) -> None:
+def _log_law(recording: RecordingStream, law: LawCurve, number: int) -> None:
     """The curve, the points and the loop as tables."""
     path = f"discrepancy/law/{number + 1:02d}"
     for name, timeline, columns in (
@@ -244,7 +242,7 @@ STEP_PARTS: Final = Pane("discrepancy/steps/parts/plot", 520.0, 400.0)
 STEP_TEXT: Final = "discrepancy/steps/text"
 
 
-def log_steps_page(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
+def log_steps_page(diagnosis: Diagnosis, recording: RecordingStream, plan: DiscrepancyPlan) -> None:
     """Frames once, and what changes once a step; nothing where no step ran through."""
     if not plan.step_gaps:
         return
@@ -256,7 +254,7 @@ def log_steps_page(diagnosis: Diagnosis, recording: "rerun.RecordingStream", pla
     _send(recording, STEP_TEXT, plan, columns)
 
 
-def _draw_gap(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
+def _draw_gap(diagnosis: Diagnosis, recording: RecordingStream, plan: DiscrepancyPlan) -> None:
     record = diagnosis.held_out[plan.record]
     bucket = bucket_length(record.n_samples, GapLimits.DRAWN_SAMPLES)
     times = record.start_time + record.dt * positions(record.n_samples, bucket)
@@ -264,7 +262,7 @@ def _draw_gap(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: Di
     noise = 2.0 * float(np.sqrt(plan.step_gaps[0].floor[plan.record, plan.output]))
     reach = max(1.05 * max(float(np.nanmax(np.abs(curve))) for curve in curves), 1.5 * noise)
     name = name_with_unit(record.output_names[plan.output], record.output_units[plan.output])
-    chart, panel = one_panel()
+    chart, panel = one_panel(STYLE.page, STYLE.page)
     panel.line(times, curves[0], "residual", width=STYLE.thin, opacity=STYLE.half, label="as given")
     panel.line([], [], "model", label="this step")
     panel.line([], [], "system", label="the last")
@@ -275,10 +273,10 @@ def _draw_gap(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: Di
     _play_lines(recording, plan, f"{STEP_GAP.path}/3_now", [[seen_at(panel, times, curve)] for curve in curves])
 
 
-def _draw_spectrum(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
+def _draw_spectrum(diagnosis: Diagnosis, recording: RecordingStream, plan: DiscrepancyPlan) -> None:
     density = gap_density(plan.step_gaps)
     first = Stage(name="as given", kind="before", step=0, gap=plan.step_gaps[0])
-    chart, panel = one_panel()
+    chart, panel = one_panel(STYLE.page, STYLE.page)
     draw_gap_spectrum(panel, replace(density, gaps=density.gaps[:1]), [first], plan.output)
     panel.line([], [], "model", label="gap now")
     panel.y.label, panel.key = _density_title(diagnosis, plan.output), "best"
@@ -287,11 +285,11 @@ def _draw_spectrum(diagnosis: Diagnosis, recording: "rerun.RecordingStream", pla
     _play_lines(recording, plan, f"{STEP_SPECTRUM.path}/3_now", strips, width=STYLE.stroke)
 
 
-def _draw_parts(recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
+def _draw_parts(recording: RecordingStream, plan: DiscrepancyPlan) -> None:
     """A bar a part, as long as its gap is in times of the noise floor."""
     rows = _shown(plan.step_gaps)
     sizes = [size for row in rows for size in row.sizes if np.isfinite(size) and size > 0]
-    chart, panel = one_panel()
+    chart, panel = one_panel(STYLE.page, STYLE.page)
     panel.x.log = True
     panel.x.limits = panel.x.fitted(np.array([0.7, 3.0, *sizes]))
     panel.x.label, panel.head = "times the noise floor", "gap by output, record and band"
@@ -317,7 +315,7 @@ def _shown(gaps: Sequence[Gap]) -> list[Row]:
 
 
 def _play_lines(
-    recording: "rerun.RecordingStream",
+    recording: RecordingStream,
     plan: DiscrepancyPlan,
     path: str,
     frames: Sequence[Sequence[FloatArray]],
@@ -343,7 +341,7 @@ def _known(strip: FloatArray) -> FloatArray:
     return strip[np.isfinite(strip).all(axis=1)]
 
 
-def _send(recording: "rerun.RecordingStream", path: str, plan: DiscrepancyPlan, columns: Any) -> None:
+def _send(recording: RecordingStream, path: str, plan: DiscrepancyPlan, columns: Any) -> None:
     index = [
         rr.TimeColumn(STEP, sequence=list(plan.step_numbers)),
         rr.TimeColumn(TIMELINE, duration=list(plan.step_times)),

@@ -7,14 +7,14 @@ steps are spread evenly from the beginning to the end, so that the page plays on
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from modal.discrepancy.results import Diagnosis
 from modal.localisation.gap import Gap
 from modal.plots.discrepancy import STAGE_ROLES
-from modal.recording.figure import COLOURS, Palette, rr
+from modal.recording.figure import COLOURS, Palette, RecordingStream, rr
 from modal.recording.plan import Views, name_with_unit, path_parts
 from modal.recording.series import (
     TIMELINE,
@@ -29,9 +29,6 @@ from modal.recording.series import (
 from modal.recording.tables import log_table
 from modal.sections.discrepancy_stages import Stage, gap_of, ran_through, rows_of, stages_of, worst_outputs
 from modal.sections.discrepancy_values import hypothesis_text, times_floor
-
-if TYPE_CHECKING:
-    import rerun
 
 SERIES_PER_OUTPUT: Final = 8
 """Count so many of an output: measured, simulated and gap of up to three states, and the noise."""
@@ -99,7 +96,7 @@ def stage_part(stage: Stage) -> str:
     return {"before": "0_as_given", "linear": "1_calibrated", "after": "2_updated"}[stage.kind]
 
 
-def log_histories(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
+def log_histories(diagnosis: Diagnosis, recording: RecordingStream, plan: DiscrepancyPlan) -> None:
     """Measured and simulated outputs, the gap of each state of the model, and the band of the noise."""
     times = time_axis(diagnosis.held_out, plan)
     first = diagnosis.held_out[0]
@@ -153,7 +150,7 @@ def diagnosis_tables(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> tuple[Numbe
     return tuple(table for table in made if table.n_rows)
 
 
-def log_tables(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
+def log_tables(diagnosis: Diagnosis, recording: RecordingStream, plan: DiscrepancyPlan) -> None:
     """Every table of the diagnosis as numbers and words."""
     for table in diagnosis_tables(diagnosis, plan):
         index = np.arange(table.first, table.first + table.n_rows)
@@ -169,7 +166,7 @@ _LIMIT = ("effect", "where", "parameter", "value", "unit")
 
 
 def _log_noise(
-    diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan, *, output: int, path: str
+    diagnosis: Diagnosis, recording: RecordingStream, plan: DiscrepancyPlan, *, output: int, path: str
 ) -> None:
     """Two deviations of the noise to either side, a straight line over each record."""
     variance = np.asarray(diagnosis.noise_floor.variance)[len(diagnosis.fit) :, output]

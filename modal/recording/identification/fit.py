@@ -4,22 +4,23 @@ Its twin is the page "Responses", where no record was identified but a table of 
 """
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from modal.identification.result import Identification
 from modal.modes.response_synthesis import tabled_frf
 from modal.plots.histories import residual_autocorrelation
-from modal.plots.panels import IN_TURN
+from modal.plots.layout import one_panel
+from modal.plots.panels import IN_TURN, STYLE
 from modal.plots.results import measured_responses
 from modal.recording.figure import (
     Colour,
     Palette,
     Pane,
+    RecordingStream,
     document_view,
     log_chart,
-    one_panel,
     plot_view,
     rrb,
     series_view,
@@ -31,13 +32,7 @@ from modal.recording.tables import choices_text, fit_page_text, log_table, log_t
 from modal.sections.words import modes_headline
 from modal.wording.text import fit_text
 from okid.arrays import FloatArray
-
-if TYPE_CHECKING:
-    import rerun
-if TYPE_CHECKING:
-    import rerun
-
-    from okid.frequency_response import FrequencyResponse
+from okid.frequency_response import FrequencyResponse
 
 FIT_TEXT: Final = "fit/text"
 MARKOV: Final = Pane("fit/markov/plot", 480.0, 290.0)
@@ -50,7 +45,7 @@ DRAWN_PAIRS: Final = 4
 """Draw the strongest response of each of so many outputs."""
 
 
-def log_fit_page(identification: Identification, recording: "rerun.RecordingStream", plan: Plan) -> None:
+def log_fit_page(identification: Identification, recording: RecordingStream, plan: Plan) -> None:
     """Predicted and simulated outputs with their residuals, fit table, Markov parameters, whiteness."""
     times = time_axis(identification.records, plan.data)
     for output, path in enumerate(plan.fit_paths):
@@ -63,7 +58,7 @@ def log_fit_page(identification: Identification, recording: "rerun.RecordingStre
 
 def _log_output(
     identification: Identification,
-    recording: "rerun.RecordingStream",
+    recording: RecordingStream,
     plan: Plan,
     *,
     times: FloatArray,
@@ -91,7 +86,7 @@ def _less(first: list[FloatArray], second: list[FloatArray]) -> list[FloatArray]
     return [a - b for a, b in zip(first, second, strict=True)]
 
 
-def _log_numbers(identification: Identification, recording: "rerun.RecordingStream") -> None:
+def _log_numbers(identification: Identification, recording: RecordingStream) -> None:
     fit, first = identification.fit, identification.channels
     outputs: dict[str, Iterable[object]] = {
         "name": first.output_names,
@@ -103,7 +98,7 @@ def _log_numbers(identification: Identification, recording: "rerun.RecordingStre
     log_table(recording, "fit/outputs", "output", np.arange(1, first.n_outputs + 1), outputs)
 
 
-def _log_markov(identification: Identification, recording: "rerun.RecordingStream") -> None:
+def _log_markov(identification: Identification, recording: RecordingStream) -> None:
     """All of them as numbers, the strongest of each of a few outputs as lines, scaled by the size of the channels."""
     markov, first = identification.markov, identification.channels
     lags = np.arange(markov.n_lags + 1.0)
@@ -123,7 +118,7 @@ def _log_markov(identification: Identification, recording: "rerun.RecordingStrea
     log_sequence(recording, "fit/markov/numbers", timeline="lag", index=lags, values=numbers, names=names)
     strength = np.abs(scaled[1:]).max(axis=0)
     pairs = [(i, int(strength[i].argmax())) for i in np.argsort(-strength.max(axis=1), kind="stable")[:DRAWN_PAIRS]]
-    chart, panel = one_panel()
+    chart, panel = one_panel(STYLE.page, STYLE.page)
     for (i, j), role in zip(pairs, IN_TURN, strict=False):
         panel.line(lags * markov.dt, scaled[:, i, j], role, label=f"{label(out[i], 11)} / {label(into[j], 11)}")
     panel.x.label, panel.y.label, panel.key = "time [s]", title, "best"
@@ -131,7 +126,7 @@ def _log_markov(identification: Identification, recording: "rerun.RecordingStrea
     log_chart(recording, MARKOV, chart)
 
 
-def _log_whiteness(identification: Identification, recording: "rerun.RecordingStream") -> None:
+def _log_whiteness(identification: Identification, recording: RecordingStream) -> None:
     residuals, first = identification.residuals, identification.channels
     if residuals is None:
         return
@@ -228,9 +223,7 @@ RESPONSES: Final = Pane("responses/plot", 1100.0, 820.0)
 TEXT: Final = "responses/text"
 
 
-def log_response_page(
-    identification: Identification, response: "FrequencyResponse", recording: "rerun.RecordingStream"
-) -> None:
+def log_response_page(identification: Identification, response: FrequencyResponse, recording: RecordingStream) -> None:
     """The responses with the model over them, and what was found and chosen in words."""
     log_chart(recording, RESPONSES, measured_responses(identification, tabled_frf(response)))
     flat = response.response.reshape(response.n_lines, -1)

@@ -10,7 +10,7 @@ The components of a real mode lie on one line; it lies flat here, since shapes a
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from modal.identification.result import Identification
 from modal.identification.words import damping_text
 from modal.modes.mode import Mode
 from modal.modes.shape_comparison import assurance
-from modal.recording.figure import Palette, Pane, document_view, plot_view, rr, rrb
+from modal.recording.figure import Palette, Pane, RecordingStream, document_view, plot_view, rr, rrb
 from modal.recording.identification.shapes import log_shape, shape_path
 from modal.recording.plan import Plan, cell, label
 from modal.recording.tables import UNKNOWN, bullets, choices_text, known, log_table, log_text, table
@@ -37,9 +37,6 @@ from modal.wording.text import NINETY_FIVE, hertz, ratio_text, with_interval
 from okid.arrays import ComplexArray, FloatArray
 from okid.frequency_response import FrequencyResponse
 from okid.record import Record
-
-if TYPE_CHECKING:
-    import rerun
 
 COMPLEXITY: Final = "modes/complexity"
 
@@ -71,7 +68,7 @@ def _cells(n_shapes: int) -> tuple[int, int, float]:
     return n_columns, n_rows, min(Circles.ROOM[0] / Circles.MOST_COLUMNS, height - Circles.WORDS) / 2 - Circles.GAP
 
 
-def log_complexity(recording: "rerun.RecordingStream", plan: Plan, record: Record | FrequencyResponse) -> None:
+def log_complexity(recording: RecordingStream, plan: Plan, record: Record | FrequencyResponse) -> None:
     """One circle for each shape that is drawn, with collinearity and phase deviation in numbers and words."""
     pane, radius = complexity_pane(len(plan.shapes)), _cells(len(plan.shapes))[2]
     centres = _centres(len(plan.shapes), pane)
@@ -117,7 +114,7 @@ def _words(number: int, mode: Mode) -> str:
 
 
 def _strips(
-    recording: "rerun.RecordingStream",
+    recording: RecordingStream,
     name: str,
     strips: list[FloatArray],
     colour: tuple[int, int, int],
@@ -129,7 +126,7 @@ def _strips(
     recording.log(f"{COMPLEXITY}/{name}", lines, static=True, strict=True)
 
 
-def _points(recording: "rerun.RecordingStream", name: str, places: FloatArray, texts: list[str]) -> None:
+def _points(recording: RecordingStream, name: str, places: FloatArray, texts: list[str]) -> None:
     points = rr.Points2D(
         places,
         radii=rr.Radius.ui_points(2.6),
@@ -141,7 +138,7 @@ def _points(recording: "rerun.RecordingStream", name: str, places: FloatArray, t
     recording.log(f"{COMPLEXITY}/{name}", points, static=True, strict=True)
 
 
-def _texts(recording: "rerun.RecordingStream", name: str, places: FloatArray, texts: list[str]) -> None:
+def _texts(recording: RecordingStream, name: str, places: FloatArray, texts: list[str]) -> None:
     points = rr.Points2D(
         places,  # a label hangs below its point
         radii=rr.Radius.ui_points(0.0),
@@ -295,7 +292,7 @@ def placement_in(identification: Identification, plan: Plan) -> Placement:
     return placed(plan.geometry, first.output_names, first.output_units)
 
 
-def log_modes_page(identification: Identification, recording: "rerun.RecordingStream", plan: Plan) -> None:
+def log_modes_page(identification: Identification, recording: RecordingStream, plan: Plan) -> None:
     """Shapes that move, their complexity, tables in words and in numbers, assurance matrix.
 
     Raises:
@@ -316,7 +313,7 @@ def log_modes_page(identification: Identification, recording: "rerun.RecordingSt
         _log_assurance(identification, recording, plan)
 
 
-def _log_table(recording: "rerun.RecordingStream", plan: Plan) -> None:
+def _log_table(recording: RecordingStream, plan: Plan) -> None:
     """Every mode as numbers on the timeline "mode"."""
     modes = plan.modes
     index = np.arange(1, len(modes) + 1)
@@ -331,9 +328,7 @@ def _log_table(recording: "rerun.RecordingStream", plan: Plan) -> None:
         log_table(recording, f"modes/{name}s", "mode", index, parts)
 
 
-def _log_geometry(
-    identification: Identification, recording: "rerun.RecordingStream", plan: Plan, placement: Placement
-) -> None:
+def _log_geometry(identification: Identification, recording: RecordingStream, plan: Plan, placement: Placement) -> None:
     """The structure as numbers: nodes, sensors, and the deflections that are drawn."""
     geometry, names = placement.geometry, identification.channels.output_names
     places = {axis: geometry.positions[:, k].tolist() for k, axis in enumerate("xyz")}
@@ -357,7 +352,7 @@ def _log_geometry(
     log_table(recording, DEFLECTIONS_TABLE, "mode", plan.shapes, parts)
 
 
-def _log_assurance(identification: Identification, recording: "rerun.RecordingStream", plan: Plan) -> None:
+def _log_assurance(identification: Identification, recording: RecordingStream, plan: Plan) -> None:
     modes = [plan.modes[number - 1] for number in plan.shapes]
     first = identification.channels
     shapes = comparable_shapes(modes, first.output_names, first.output_units)
@@ -386,7 +381,7 @@ def _short(value: float) -> str:
 
 
 def _log_texts(
-    recording: "rerun.RecordingStream", path: str, places: FloatArray, texts: list[str], n: int, *, show: bool
+    recording: RecordingStream, path: str, places: FloatArray, texts: list[str], n: int, *, show: bool
 ) -> None:
     # a label hangs below its point: about 18 points on the screen, of about 400 for the whole matrix
     points = rr.Points2D(

@@ -7,7 +7,7 @@ order chosen.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -17,15 +17,12 @@ from modal.identification.result import Identification, OrderEvidence
 from modal.modes.response_synthesis import frf
 from modal.plots.order import POLE_ROLES, colour_measure, order_fits, singular_values, stabilisation_diagram
 from modal.plots.panels import STYLE, Curve, Panel
-from modal.recording.figure import Palette, Pane, colour_of, log_chart, rr, seen_at
+from modal.recording.figure import Palette, Pane, RecordingStream, colour_of, log_chart, rr, seen_at
 from modal.recording.plan import Plan
 from modal.recording.series import TIMELINE
 from modal.recording.tables import known, log_table, table
 from modal.verdict.stabilisation import StabilisationPoint
 from okid.arrays import FloatArray
-
-if TYPE_CHECKING:
-    import rerun
 
 MODEL_ORDER: Final = "model_order"
 ORDER_TEXT: Final = "order/text"
@@ -54,7 +51,7 @@ def orders_of(evidence: OrderEvidence) -> list[int]:
     return sorted({point.order for point in evidence.stabilisation})
 
 
-def log_poles(recording: "rerun.RecordingStream", panel: Panel, evidence: OrderEvidence, plan: Plan) -> None:
+def log_poles(recording: RecordingStream, panel: Panel, evidence: OrderEvidence, plan: Plan) -> None:
     """All poles on "time"; on "model_order" those of the orders below, and those of the order in front of them."""
     low, high = panel.x.limits or (0.0, np.inf)
     points = sorted(evidence.stabilisation, key=lambda point: point.order)
@@ -99,7 +96,7 @@ def _pole_colours(points: Sequence[StabilisationPoint], evidence: OrderEvidence)
     return np.array([colour_of(role) for role in POLE_ROLES], dtype=np.uint8)[number]
 
 
-def mark_orders(recording: "rerun.RecordingStream", pane: Pane, panel: Panel, evidence: OrderEvidence) -> None:
+def mark_orders(recording: RecordingStream, pane: Pane, panel: Panel, evidence: OrderEvidence) -> None:
     """On "model_order", a white dot on the plotted value of each order, and none at an order without a value."""
     at = np.array(orders_of(evidence), dtype=np.int64)
     values = {x: y for line in panel.lines if line.dot for x, y in line.corners.tolist()}
@@ -115,7 +112,7 @@ def mark_orders(recording: "rerun.RecordingStream", pane: Pane, panel: Panel, ev
     recording.log(entity, style, static=True, strict=True)
 
 
-def log_order_texts(evidence: OrderEvidence, recording: "rerun.RecordingStream", plan: Plan) -> None:
+def log_order_texts(evidence: OrderEvidence, recording: RecordingStream, plan: Plan) -> None:
     """What each order has, in words: on "model_order" all of them, on "time" the one chosen."""
     orders = orders_of(evidence) or [evidence.order]
     for timeline, shown in ((MODEL_ORDER, orders), (TIMELINE, [evidence.order])):
@@ -192,7 +189,7 @@ STABILISATION: Final = Pane("order/stabilisation/plot", 640.0, 630.0)
 """Draw in about the shape that the view has on a common screen."""
 
 
-def log_order_page(identification: Identification, recording: "rerun.RecordingStream", plan: Plan) -> None:
+def log_order_page(identification: Identification, recording: RecordingStream, plan: Plan) -> None:
     """Singular values, cross-validated fit against order, stabilisation diagram over the measured spectrum."""
     evidence = identification.order_evidence
     _log_numbers(evidence, recording)
@@ -233,7 +230,7 @@ def _response_size(identification: Identification, frequencies: FloatArray) -> F
     return np.where(np.isfinite(size), size, np.nan)
 
 
-def _log_numbers(evidence: OrderEvidence, recording: "rerun.RecordingStream") -> None:
+def _log_numbers(evidence: OrderEvidence, recording: RecordingStream) -> None:
     values = evidence.singular_values
     index = np.arange(1, values.size + 1)
     kept = {"singular_value": values, "kept": index <= evidence.order}
@@ -251,6 +248,6 @@ def _log_numbers(evidence: OrderEvidence, recording: "rerun.RecordingStream") ->
     log_table(recording, "order/stabilisation", MODEL_ORDER, orders, poles)
 
 
-def _log_response(recording: "rerun.RecordingStream", frequencies: FloatArray, size: FloatArray) -> None:
+def _log_response(recording: RecordingStream, frequencies: FloatArray, size: FloatArray) -> None:
     lines = np.arange(1, frequencies.size + 1)
     log_table(recording, "order/response", "frequency_line", lines, {"frequency": frequencies, "size": size})

@@ -5,7 +5,7 @@ a row a channel.
 """
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from modal.recording.figure import (
     Colour,
     Palette,
     Pane,
+    RecordingStream,
     document_view,
     log_chart,
     plot_view,
@@ -31,9 +32,6 @@ from modal.recording.plan import DataPlan, Views, cell, label, name_with_unit
 from modal.recording.series import TIMELINE, Interpolation, Line, log_lines, time_axis
 from modal.recording.tables import WordLimits, bullets, known, log_table, log_text, table, unit_cell
 from okid.record import Record
-
-if TYPE_CHECKING:
-    import rerun
 
 
 class RecordLimits:
@@ -126,7 +124,7 @@ def marked(quality: DataQuality) -> list[tuple[int, Finding]]:
 
 
 def log_record_page(
-    records: Sequence[Record], recording: "rerun.RecordingStream", plan: DataPlan, quality: DataQuality
+    records: Sequence[Record], recording: RecordingStream, plan: DataPlan, quality: DataQuality
 ) -> None:
     """Every measured channel over time, where each record stands, spectra and coherence, the quality in words."""
     _log_channels(records, recording, plan)
@@ -137,7 +135,7 @@ def log_record_page(
     _draw_spectra(quality, recording, plan)
 
 
-def _log_channels(records: Sequence[Record], recording: "rerun.RecordingStream", plan: DataPlan) -> None:
+def _log_channels(records: Sequence[Record], recording: RecordingStream, plan: DataPlan) -> None:
     times = time_axis(records, plan)
     first = records[0]
     for i, path in enumerate(plan.input_paths):
@@ -154,7 +152,7 @@ def _log_channels(records: Sequence[Record], recording: "rerun.RecordingStream",
         log_lines(recording, path, times, [line], plan=plan)
 
 
-def _log_places(records: Sequence[Record], recording: "rerun.RecordingStream", plan: DataPlan) -> None:
+def _log_places(records: Sequence[Record], recording: RecordingStream, plan: DataPlan) -> None:
     columns: dict[str, Iterable[object]] = {
         "name": [record.name for record in records],
         "n_samples": [record.n_samples for record in records],
@@ -166,7 +164,7 @@ def _log_places(records: Sequence[Record], recording: "rerun.RecordingStream", p
     log_table(recording, f"{plan.root}/records", "record", np.arange(1, len(records) + 1), columns)
 
 
-def _log_numbers(quality: DataQuality, recording: "rerun.RecordingStream", plan: DataPlan) -> None:
+def _log_numbers(quality: DataQuality, recording: RecordingStream, plan: DataPlan) -> None:
     found = quality.findings
     findings: dict[str, Iterable[object]] = {
         name: [getattr(finding, name) for finding in found] for name in ("what", "where", "sentence", "share")
@@ -198,9 +196,7 @@ def _log_numbers(quality: DataQuality, recording: "rerun.RecordingStream", plan:
         log_table(recording, f"{plan.root}/coherence/numbers", "frequency_line", lines, coherence)
 
 
-def _log_marks(
-    records: Sequence[Record], quality: DataQuality, recording: "rerun.RecordingStream", plan: DataPlan
-) -> None:
+def _log_marks(records: Sequence[Record], quality: DataQuality, recording: RecordingStream, plan: DataPlan) -> None:
     """A bar over every time of a finding, findings one below the other in the order of the words.
 
     A bar is at least so long that it is seen; the table "quality/findings" has the times themselves.
@@ -232,7 +228,7 @@ def _log_marks(
         recording.log(path, style, static=True, strict=True)
 
 
-def _draw_spectra(quality: DataQuality, recording: "rerun.RecordingStream", plan: DataPlan) -> None:
+def _draw_spectra(quality: DataQuality, recording: RecordingStream, plan: DataPlan) -> None:
     """Inputs over outputs over coherence, all over one axis of frequency."""
     if not quality.frequencies.size:
         return

@@ -7,20 +7,17 @@ surfaces that would take more than a third of it are left out.
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from modal.geometry.scene import Scene, envelope_of
 from modal.modes.mode import Mode
-from modal.recording.figure import Palette, rr
+from modal.recording.figure import Palette, RecordingStream, rr
 from modal.recording.plan import Plan, label
 from modal.recording.series import TIMELINE
 from okid.arrays import ComplexArray, FloatArray
-
-if TYPE_CHECKING:
-    import rerun
 
 
 class Swinging:
@@ -124,7 +121,7 @@ def measured_nodes(scene: Scene) -> list[int]:
     return sorted({one.node for one in scene.placement.sensors if one is not None})
 
 
-def log_shape(mode: Mode, number: int, recording: "rerun.RecordingStream", plan: Plan, scene: Scene) -> None:
+def log_shape(mode: Mode, number: int, recording: RecordingStream, plan: Plan, scene: Scene) -> None:
     """One mode: the structure at rest, the envelope, and the motion over the whole of the timeline."""
     path = shape_path(number)
     pace = pace_of(scene, len(plan.shapes))
@@ -142,7 +139,7 @@ def log_shape(mode: Mode, number: int, recording: "rerun.RecordingStream", plan:
     _log_motion(path, recording, scene, pace, times=times, moving=moving)
 
 
-def _log_structure(path: str, recording: "rerun.RecordingStream", scene: Scene, *, named: bool) -> None:
+def _log_structure(path: str, recording: RecordingStream, scene: Scene, *, named: bool) -> None:
     """What stands still: lines, nodes with their names, fixed nodes, which way the sensors look."""
     rest, geometry = scene.positions, scene.placement.geometry
     segments = scene.drawn_segments(Still.SEGMENTS)
@@ -176,9 +173,7 @@ def _log_structure(path: str, recording: "rerun.RecordingStream", scene: Scene, 
         recording.log(f"{path}/directions", arrows, static=True, strict=True)
 
 
-def _log_envelope(
-    path: str, recording: "rerun.RecordingStream", scene: Scene, pace: Pace, furthest: FloatArray
-) -> None:
+def _log_envelope(path: str, recording: RecordingStream, scene: Scene, pace: Pace, furthest: FloatArray) -> None:
     """Both ends of the motion; nodes on no line show the stretch on which they move."""
     rest = scene.positions
     strips = [(rest + sign * furthest)[pace.segments] for sign in (1.0, -1.0) if len(pace.segments)]
@@ -194,7 +189,7 @@ def _log_envelope(
 
 
 def _log_motion(
-    path: str, recording: "rerun.RecordingStream", scene: Scene, pace: Pace, *, times: FloatArray, moving: _Moving
+    path: str, recording: RecordingStream, scene: Scene, pace: Pace, *, times: FloatArray, moving: _Moving
 ) -> None:
     index = [rr.TimeColumn(TIMELINE, duration=times)]
     n_frames = len(times)
@@ -221,7 +216,7 @@ def _log_motion(
 
 def _send_strips(
     path: str,
-    recording: "rerun.RecordingStream",
+    recording: RecordingStream,
     index: object,
     strips: npt.NDArray[np.float32],
     *,
@@ -236,7 +231,7 @@ def _send_strips(
     recording.log(path, style, static=True, strict=True)
 
 
-def _log_surface(path: str, recording: "rerun.RecordingStream", index: object, scene: Scene, moving: _Moving) -> None:
+def _log_surface(path: str, recording: RecordingStream, index: object, scene: Scene, moving: _Moving) -> None:
     corners, triangles = np.unique(scene.triangles, return_inverse=True)
     moved = moving.at(corners)
     columns = rr.Mesh3D.columns(vertex_positions=moved.reshape(-1, 3)).partition([len(corners)] * len(moved))

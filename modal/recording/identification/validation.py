@@ -6,22 +6,19 @@ inputs the spectrum of the outputs takes the place of the response.
 """
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from modal.identification.result import Identification
-from modal.plots.layout import grid_of
+from modal.plots.layout import grid_of, one_panel
 from modal.plots.panels import STYLE, Panel
 from modal.plots.responses import density_label
-from modal.recording.figure import Pane, document_view, log_chart, one_panel, plot_view, rrb, series_view, tabs
+from modal.recording.figure import Pane, RecordingStream, document_view, log_chart, plot_view, rrb, series_view, tabs
 from modal.recording.identification.fit import run_view
 from modal.recording.plan import Gathered, Plan, Views, cell, label
 from modal.recording.tables import WordLimits, known, log_table, log_text, table, unit_cell
 from okid.arrays import ComplexArray, FloatArray
-
-if TYPE_CHECKING:
-    import rerun
 
 
 class ValidationLimits:
@@ -152,7 +149,7 @@ VALIDATION_TEXT: Final = "validation/text"
 
 
 def log_validation_page(
-    identification: Identification, recording: "rerun.RecordingStream", plan: Plan, evidence: Gathered
+    identification: Identification, recording: RecordingStream, plan: Plan, evidence: Gathered
 ) -> None:
     """Responses or spectra of the shown outputs as pictures, those of all as numbers, and what they say."""
     log_text(recording, VALIDATION_TEXT, validation_text(identification, evidence))
@@ -170,7 +167,7 @@ def log_validation_page(
                 _draw_density(identification, recording, evidence, where, output=output)
 
 
-def _log_responses(recording: "rerun.RecordingStream", plan: Plan, evidence: Gathered) -> None:
+def _log_responses(recording: RecordingStream, plan: Plan, evidence: Gathered) -> None:
     """Of all outputs; one value an input in each cell, none where the inputs cannot be told apart."""
     if evidence.measured is None:
         return
@@ -198,7 +195,7 @@ def _log_responses(recording: "rerun.RecordingStream", plan: Plan, evidence: Gat
             log_table(recording, f"validation/response/{output + 1:02d}/model", "frequency_line", at, between)
 
 
-def _log_densities(recording: "rerun.RecordingStream", plan: Plan, evidence: Gathered) -> None:
+def _log_densities(recording: RecordingStream, plan: Plan, evidence: Gathered) -> None:
     density = evidence.model_density
     if not density.size:
         return
@@ -213,7 +210,7 @@ def _log_densities(recording: "rerun.RecordingStream", plan: Plan, evidence: Gat
 
 
 def _draw_response(
-    identification: Identification, recording: "rerun.RecordingStream", evidence: Gathered, *, output: int, source: int
+    identification: Identification, recording: RecordingStream, evidence: Gathered, *, output: int, source: int
 ) -> None:
     """Magnitude over phase over coherence, one axis of frequency."""
     measured = evidence.measured
@@ -254,24 +251,24 @@ def _fill_magnitude(
 
 def _draw_magnitude(
     identification: Identification,
-    recording: "rerun.RecordingStream",
+    recording: RecordingStream,
     evidence: Gathered,
     pane: Pane,
     *,
     output: int,
     source: int,
 ) -> None:
-    chart, panel = one_panel()
+    chart, panel = one_panel(STYLE.page, STYLE.page)
     _fill_magnitude(panel, identification, evidence, output=output, source=source)
     log_chart(recording, pane, chart)
 
 
 def _draw_density(
-    identification: Identification, recording: "rerun.RecordingStream", evidence: Gathered, pane: Pane, *, output: int
+    identification: Identification, recording: RecordingStream, evidence: Gathered, pane: Pane, *, output: int
 ) -> None:
     first, model = identification.channels, evidence.model_density[:, output]
     seen = evidence.quality.densities[: model.size, first.n_inputs + output]
-    chart, panel = one_panel()
+    chart, panel = one_panel(STYLE.page, STYLE.page)
     frequencies = evidence.density_frequencies
     _fill_pair(panel, (frequencies, seen), (frequencies, model), "of the model", decades=2 * ValidationLimits.DECADES)
     panel.y.label = f"spectrum [{density_label(first.output_units[output])}]"
