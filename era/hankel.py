@@ -28,9 +28,6 @@ import scipy
 from okid.arrays import FloatArray, whole_number
 from okid.errors import InsufficientDataError, NumericalError
 
-LARGEST_DENSE = 1 << 22
-"""Values of a block Hankel matrix that is still built (32 MiB)."""
-
 
 def block_hankel(markov: FloatArray, n_block_rows: int, n_block_columns: int, shift: int = 0) -> FloatArray:
     """H(shift) as an array.
@@ -208,7 +205,7 @@ def _dense_is_cheaper(n_block_rows: int, n_block_columns: int, n_outputs: int, n
     length = n_block_rows + n_block_columns
     transforms = 0.35 * (n_outputs + n_inputs) * length * np.log2(length)
     products = 2.0 * n_outputs * n_inputs * length / 2
-    return n_values <= LARGEST_DENSE and 2 * n_values / 30 <= 1.5 * (transforms + products)
+    return n_values <= 1 << 22 and 2 * n_values / 30 <= 1.5 * (transforms + products)  # 32 MiB
 
 
 @lru_cache(maxsize=64)
@@ -449,8 +446,6 @@ FULL_UP_TO = 1.5e6
 """Rows x columns x smaller side of a block Hankel matrix that is always decomposed in full (1-2 ms)."""
 FIRST_RANK = 32
 """Triplets that are looked for first when nobody said how many are needed."""
-LARGEST_RANK = 256
-"""Triplets that are looked for at most when nobody said how many are needed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -534,7 +529,7 @@ def _randomised(
     wanted = min(FIRST_RANK if max_order is None else max_order, smaller)
     found = leading_triplets(operator, wanted, rng=rng)
     while max_order is None and not (found.complete or _shows_a_gap(found.singular_values)):
-        if 2 * wanted > min(LARGEST_RANK, smaller // 4):
+        if 2 * wanted > min(256, smaller // 4):  # triplets at most when nobody said how many
             break
         wanted *= 2
         found = leading_triplets(operator, wanted, rng=rng)

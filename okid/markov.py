@@ -105,10 +105,6 @@ def _scale(values: FloatArray | None, length: int, name: str) -> FloatArray:
     return scale
 
 
-_BLOCK_UNKNOWNS = 64
-"""Rows of one block: few enough that the triangle stays in cache, enough that the interpreter does not count."""
-
-
 def solve_recursion(output_coefficients: FloatArray, forcing: FloatArray) -> FloatArray:
     """Run the recursion forward from rest for several columns at once.
 
@@ -127,7 +123,7 @@ def solve_recursion(output_coefficients: FloatArray, forcing: FloatArray) -> Flo
     n_steps, _, n_columns = forcing.shape
     values = np.empty((order + n_steps, n_outputs, n_columns))
     values[:order] = 0.0
-    steps = max(1, min(n_steps, _BLOCK_UNKNOWNS // n_outputs))
+    steps = max(1, min(n_steps, 64 // n_outputs))  # rows of a block: the triangle stays in cache
     strip, triangle = _strip_and_triangle(output_coefficients, steps)
     flat = values.reshape((order + n_steps) * n_outputs, n_columns)
     flat_forcing = forcing.reshape(n_steps * n_outputs, n_columns)

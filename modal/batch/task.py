@@ -187,10 +187,6 @@ def _shown(path: object) -> str:
 
 
 RESULT, MODES, OUTCOME = "result.npz", "modes.csv", "outcome.json"
-LONGEST_NAME = 60
-"""Shorten the name of a record in that of its folder to so many letters."""
-LONGEST_MESSAGE = 1000
-"""Shorten a sentence, which may quote a stranger's file, to so many letters."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -233,7 +229,7 @@ class Outcome:
 def folder_of(unit: Unit, folder: Path) -> Path:
     """The folder of a record: its name to read, its key to be exact."""
     plain = "".join(letter if letter.isalnum() or letter in "._-" else "_" for letter in unit.record)
-    return folder / f"{plain[:LONGEST_NAME].lstrip('.') or 'record'}-{unit.key[:16]}"
+    return folder / f"{plain[:60].lstrip('.') or 'record'}-{unit.key[:16]}"
 
 
 def kept_outcome(place: Path) -> Outcome | None:
@@ -342,4 +338,4 @@ def _channels(names: tuple[str, ...], units: tuple[str, ...]) -> tuple[str, ...]
 
 
 def _said(error: object) -> str:
-    return shorten(visible(str(error)), LONGEST_MESSAGE)
+    return shorten(visible(str(error)), 1000)  # it may quote a stranger's file

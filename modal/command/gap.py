@@ -43,8 +43,6 @@ from okid.record import InputHold, Record
 
 _TRUST = {"carried": "bold green", "with care": "bold yellow", "not carried": "bold red"}
 _STAGES = {"before": "red", "linear": "yellow", "after": "green"}
-MOST_PARTS = 12
-"""Show so many rows of the table before and after; the report has all."""
 
 READ, DIAGNOSED, WRITTEN = 0.03, 0.92, 0.97
 """Share of the work that is behind, about, when a step has ended."""
@@ -130,7 +128,7 @@ def _before_after(stages: Sequence[Stage]) -> Table:
     table.add_column("")
     for stage in stages:
         table.add_column(stage.name, justify="right", no_wrap=True)
-    for row in [row for row in rows_of(stages) if row.part != "band"][:MOST_PARTS]:
+    for row in [row for row in rows_of(stages) if row.part != "band"][:12]:  # the report has all
         cells = [plain(times_text(size), _STAGES[stage.kind]) for stage, size in zip(stages, row.sizes, strict=True)]
         table.add_row(plain(row.part, "bright_black"), plain(row.name), *cells)
     return table

@@ -43,9 +43,6 @@ PART = "summary"
 MOST_MODES = 2000
 """Refuse a file with more modes than any identification has: each is weighed against every one of the other result."""
 
-LONGEST_NAME = 200
-"""Shorten names and messages of a stranger's file to so many letters."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class ChannelName(Displayed):
@@ -163,7 +160,7 @@ def _check(summary: ResultSummary) -> None:
 
 
 def _shown(text: object) -> str:
-    return shorten(visible(str(text)), LONGEST_NAME)
+    return shorten(visible(str(text)), 200)
 
 
 def _channel_names(names: Sequence[str], units: Sequence[str]) -> tuple[ChannelName, ...]:

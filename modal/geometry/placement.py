@@ -28,9 +28,6 @@ from okid.arrays import ComplexArray, FloatArray
 from okid.errors import InvalidDataError, visible
 from okid.readers.units import convert_unit
 
-SPACING: Final = 0.7
-"""Draw the lines of two units so far apart; a line is 2 long."""
-
 _UP: Final = (0.0, 0.0, 1.0)
 
 
@@ -148,7 +145,7 @@ def _unnamed(names: Sequence[str], units: Sequence[str]) -> Geometry:
     if len(names) > 1:
         positions[:, 0] = np.linspace(-1.0, 1.0, len(names))
     for k, row in enumerate(rows):
-        positions[list(row), 1] = SPACING * (k - (len(rows) - 1) / 2)
+        positions[list(row), 1] = 0.7 * (k - (len(rows) - 1) / 2)  # a line is 2 long
     return Geometry(
         node_names=_visible_names(names),
         positions=positions,

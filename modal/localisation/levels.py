@@ -49,13 +49,6 @@ from okid.markov import MarkovParameters
 from okid.record import Record
 from okid.rows import as_records
 
-N_WINDOWS = 6
-"""Cut a free decay into at most so many windows."""
-SHORTEST_WINDOW = 80
-"""Make no window shorter than so many samples: fewer hold too little of a slow mode beside its neighbours."""
-LONGEST_RESPONSE = 800
-"""Give ERA at most so many samples of a window: its cost grows with their cube."""
-
 
 def decay_windows(records: Sequence[Record]) -> tuple[Record, ...]:
     """Windows of equal length, each with a pulse for an input; those with missing samples are left out.
@@ -68,7 +61,7 @@ def decay_windows(records: Sequence[Record]) -> tuple[Record, ...]:
     """
     windows = []
     for record in records:
-        count = int(np.clip(record.n_samples // SHORTEST_WINDOW, 1, N_WINDOWS))
+        count = int(np.clip(record.n_samples // 80, 1, 6))  # fewer samples hold too little of a slow mode
         bare = replace(record, inputs=np.empty((record.n_samples, 0)), input_names=(), input_units=())
         for part in bare.split(*[1.0 / count] * count):
             if np.isfinite(part.outputs).all() and np.ptp(part.outputs, axis=0).all():
@@ -80,7 +73,7 @@ def decay_windows(records: Sequence[Record]) -> tuple[Record, ...]:
 
 def decay_markov(windows: Sequence[Record]) -> MarkovParameters:
     """The outputs of the first window, as those of a pulse one sample before it."""
-    answer = windows[0].outputs[:LONGEST_RESPONSE, :, np.newaxis]
+    answer = windows[0].outputs[:800, :, np.newaxis]  # its cost grows with their cube
     return MarkovParameters(system=np.concatenate([np.zeros_like(answer[:1]), answer]), dt=windows[0].dt)
 
 
@@ -175,8 +168,6 @@ N_PARTS = 4
 """Refine a level on so many parts by themselves."""
 FEWEST_PARTS = N_PARTS - 1
 """Believe no deviation from fewer parts."""
-SHORTEST_PART = 100
-"""Refine no part of fewer samples by itself."""
 LEAST_DAMPING = 1e-6
 """Drop an oscillatory pole below this damping ratio: the refinement has run into its bound."""
 
@@ -276,7 +267,7 @@ def _parts(records: Sequence[Record]) -> list[tuple[Record, ...]]:
     if len(records) >= N_PARTS:
         return [tuple(records[i::N_PARTS]) for i in range(N_PARTS)]
     pieces = -(-N_PARTS // len(records))
-    shortest = max(len(records[0].output_names), len(records[0].input_names), SHORTEST_PART)
+    shortest = max(len(records[0].output_names), len(records[0].input_names), 100)
     return [
         (part.detrended(),)
         for record in records

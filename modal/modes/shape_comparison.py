@@ -370,10 +370,6 @@ def pair_modes(first: ModalModel | Shapes, second: ModalModel | Shapes) -> ModeP
     )
 
 
-DRAWS = 500
-"""Draw shapes so often for the deviation of a MAC: it is then known to some 3 %."""
-
-
 def _shape_std(shapes: ModalModel | Shapes, common: list[str]) -> FloatArray:
     """(n_common, n_modes) deviations of the components; 0 for shapes that were given, nan where not known."""
     values, names, _ = _columns(shapes)
@@ -390,7 +386,7 @@ def _assurance_std(one: ComplexArray, other: ComplexArray, std: FloatArray, othe
     rng = np.random.default_rng(0)
 
     def drawn(shapes: ComplexArray, deviations: FloatArray) -> ComplexArray:
-        real, imaginary = rng.standard_normal((2, DRAWS, *shapes.shape))
+        real, imaginary = rng.standard_normal((2, 500, *shapes.shape))  # the deviation is then known to some 3 %
         return cast("ComplexArray", shapes + deviations / np.sqrt(2.0) * (real + 1j * imaginary))
 
     a, b = drawn(one, std), drawn(other, other_std)

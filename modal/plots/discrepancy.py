@@ -274,16 +274,13 @@ def _span(law: LawCurve) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-APART = 0.012
-"""Stand the bars of two modes apart by this share of the level."""
-
-
 def modes_against_level(lines: Sequence[LevelLine]) -> Chart:
     """Change of each frequency on the left, damping ratio on the right, both with 95 % bars."""
     damped = [line for line in lines if np.isfinite(line.damping).any()]
     figure = grid_of(1, 2 if damped else 1, size=(STYLE.page, 3.1))
     for place, line in enumerate(lines):
-        role, shift = IN_TURN[place % len(IN_TURN)], 1.0 + APART * (place - 0.5 * (len(lines) - 1))
+        # two bars side by side
+        role, shift = IN_TURN[place % len(IN_TURN)], 1.0 + 0.012 * (place - 0.5 * (len(lines) - 1))
         _bars(figure.panels[0], (line.levels * shift, line.change, line.change_std), role, line.name)
         if line in damped:
             _bars(figure.panels[1], (line.levels * shift, line.damping, line.damping_std), role, line.name)

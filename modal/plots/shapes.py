@@ -125,12 +125,6 @@ def place_labels(
                 break
 
 
-TALLEST = 4.2
-"""Draw at most so tall [in]: a page shows a structure about 3.5 inches tall, and smaller names cannot be read."""
-ARROW = 0.24
-"""Draw a sensor's arrow this long, in half the largest extent."""
-
-
 def mode_shapes(
     modes: Sequence[Mode],
     *,
@@ -176,10 +170,11 @@ def geometry_picture(geometry: Geometry, *, output_names: Sequence[str] = ()) ->
     names = list(output_names) or [sensor.name for sensor in geometry.sensors]
     scene = scene_of(placed(geometry, names) if names else at_rest(geometry))
     rest = scene.positions
-    arrows = [(rest[one.node], ARROW * one.direction) for one in scene.placement.sensors if one is not None]
+    # half the largest extent is 1
+    arrows = [(rest[one.node], 0.24 * one.direction) for one in scene.placement.sensors if one is not None]
     frame = frame_of(scene, [rest, *((tail + arrow)[np.newaxis] for tail, arrow in arrows)])
     width = float(np.clip(4.2 / frame.aspect, 2.6, 7.5))
-    height = min(width * frame.aspect, TALLEST)
+    height = min(width * frame.aspect, 4.2)  # a page shows about 3.5 inches
     figure, panel = one_panel(width, height)
     draw_surfaces(panel, scene, rest, "measured", opacity=STYLE.faint)
     draw_lines(panel, scene, rest, "muted", width=STYLE.stroke)

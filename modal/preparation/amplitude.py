@@ -56,9 +56,6 @@ MORE_OFTEN = 5
 FEWEST_VISITS = 3
 """Call a channel clipped that comes to its limit so often; one that settles there comes once."""
 
-FAR_APART = 100
-"""Values that lie so many of the closest distances apart are equal by chance once in a hundred."""
-
 BAD_NOISE = 0.3
 """Call rounding noise bad from so many standard deviations of the channel: about one level a standard deviation."""
 
@@ -80,9 +77,6 @@ LIMITED_TERMS = 12
 
 ANGLES = 0.5 * np.pi * np.linspace(-1.0, 1.0, 2001)
 """Tabulate the autocorrelation after a distortion at the sines of these angles of that before it."""
-
-LIMITED_SEGMENT = 2048
-"""Resolve the spectrum of a clipped channel by segments of so many rows, or of its longest record."""
 
 
 def clipping_findings(channel: Channel, n_records: int, *, left_out: bool = False) -> list[Finding]:
@@ -243,7 +237,7 @@ def _stepped(channel: Channel) -> tuple[float, FloatArray] | None:
 
 def _power(channel: Channel) -> tuple[FloatArray, FloatArray]:
     """Frequencies [Hz], and the power there of segments that overlap by half, what is missing taken for the mean."""
-    n = min(LIMITED_SEGMENT, 2 * (max(len(part) for part in channel.parts) // 2))
+    n = min(2048, 2 * (max(len(part) for part in channel.parts) // 2))
     window, power = np.hanning(n + 2)[1:-1], np.zeros(n // 2 + 1)
     for part in channel.parts:
         for start in range(0, len(part) - n + 1, n // 2):
@@ -278,7 +272,7 @@ def _stands_alone(channel: Channel, values: FloatArray, counts: np.ndarray) -> b
         return False
     gaps = np.diff(np.unique(np.concatenate(channel.parts)))
     gaps = gaps[gaps > ROUNDING * channel.extent]
-    return bool(np.diff(values[1:]).mean() <= -FAR_APART * gaps.min(initial=np.inf))
+    return bool(np.diff(values[1:]).mean() <= -100 * gaps.min(initial=np.inf))  # equal by chance once in a hundred
 
 
 def _outermost(channel: Channel, sign: float) -> tuple[FloatArray, np.ndarray]:

@@ -33,8 +33,6 @@ from okid.scaling import channel_scaling
 
 FINEST = 1e-4
 """Take no output for finer than this share of its size, 13 bits of what moves: sensors and converters are not."""
-PAST = 32
-"""Foretell outputs by so many samples of their past,"""
 ROWS_A_NUMBER = 10
 """or fewer where there are not so many rows for each of them."""
 MOST_TOLD = 4
@@ -107,7 +105,7 @@ def no_finer_than_sensors(records: Sequence[Record]) -> tuple[tuple[Record, ...]
     scaling, q = channel_scaling(records), records[0].n_outputs
     n_rows = sum(int(record.complete_rows().sum()) for record in records)
     try:
-        gram = lag_gram(records, max(1, min(PAST, n_rows // (ROWS_A_NUMBER * q))), scaling=scaling)
+        gram = lag_gram(records, max(1, min(32, n_rows // (ROWS_A_NUMBER * q))), scaling=scaling)
     except InsufficientDataError:
         return tuple(records), ()
     if gram.n_rows <= 2 * q * gram.order:  # so much is missing that the past of hardly a row is whole

@@ -63,9 +63,6 @@ WHITE = 1.5
 MAINS = (50.0, 60.0)
 """Look for lines of these mains [Hz]."""
 
-MOST_MULTIPLES = 6
-"""Look for so many multiples of the mains."""
-
 STRAY = 0.002
 """Look for a line of the mains within this share of its frequency."""
 
@@ -213,7 +210,7 @@ class HumLines:
 
 def mains_lines(channel: Channel) -> HumLines:
     """Prominence and size of the multiples of 50 and 60 Hz, over the longest record."""
-    multiples = [(base, base * k) for base in MAINS for k in range(1, MOST_MULTIPLES + 1)]
+    multiples = [(base, base * k) for base in MAINS for k in range(1, 7)]
     mains, frequencies = np.array([pair for pair in multiples if pair[1] < 0.45 / channel.dt]).reshape(-1, 2).T
     part = max(channel.parts, key=len)
     duration = part.size * channel.dt

@@ -29,9 +29,6 @@ from okid.errors import InsufficientDataError, visible
 from okid.frequency_response import FEWEST_AVERAGES
 from okid.record import Record
 
-LONGEST_PART: Final = 64
-"""Keep so many letters of a channel name in an entity path."""
-
 
 def label(text: str, longest: int = 28) -> str:
     r"""One line of visible text, at most `longest` characters; "unnamed" where nothing would be seen.
@@ -74,7 +71,7 @@ def path_parts(names: Sequence[str]) -> tuple[str, ...]:
     """
     parts: list[str] = []
     for index, name in enumerate(names):
-        part = label(name, longest=len(name) + len("unnamed"))[:LONGEST_PART]
+        part = label(name, longest=len(name) + len("unnamed"))[:64]
         if part.startswith("__"):  # reserved by Rerun for its own entities
             part = "name" + part
         escaped = rr.escape_entity_path_part(part)

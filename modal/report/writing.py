@@ -237,7 +237,6 @@ def _beside(files: ReportFiles) -> str:
     )
 
 
-_MOST_DIGITS = 9
 _NODES_A_LINE = 8
 
 
@@ -276,7 +275,7 @@ def node_labels(names: Sequence[str]) -> tuple[int, ...]:
     """
     own: dict[int, str] = {}
     for name in names:
-        if name.isascii() and name.isdigit() and len(name) <= _MOST_DIGITS and int(name) > 0:
+        if name.isascii() and name.isdigit() and len(name) <= 9 and int(name) > 0:
             own.setdefault(int(name), name)
     by_name = {name: number for number, name in own.items()}
     following = itertools.count(max(own, default=0) + 1)

@@ -218,9 +218,6 @@ def _as_records(gap: Gap) -> list[Record]:
     return [Record(np.empty((len(values), 0)), values, gap.measured[0].dt) for values in gap.residuals]
 
 
-MOST_MODES = 5
-
-
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class LevelLine:
     """One mode over the levels at which it was found.
@@ -253,7 +250,7 @@ def level_lines(diagnosis: Diagnosis) -> tuple[LevelLine, ...]:
     if modes is None or location.agrees:
         return ()
     chosen = [mode for mode in modes.modes if telling(mode)]
-    return tuple(_line(mode, modes.levels) for mode in chosen[:MOST_MODES])
+    return tuple(_line(mode, modes.levels) for mode in chosen[:5])
 
 
 def telling(mode: LevelMode) -> bool:

@@ -84,10 +84,6 @@ def data_sentences(result: Identification) -> tuple[str, ...]:
     return (*kind, *(message for message in messages if message not in result.warnings))
 
 
-LONGEST_LIMIT = 60
-"""Letters of the name of a limit in a sentence; the table has the whole of it."""
-
-
 def limits_sentence(outcomes: "Sequence[LimitOutcome]") -> str:
     """How many limits are met, and which are not; "" where no limit was set."""
     if not outcomes:
@@ -118,7 +114,7 @@ def limits_class(state: str) -> str:
 
 
 def _names(outcomes: "Sequence[LimitOutcome]") -> str:
-    names = [shorten(one.what, LONGEST_LIMIT) for one in outcomes[:MOST_NAMED]]
+    names = [shorten(one.what, 60) for one in outcomes[:MOST_NAMED]]  # the table has the whole of it
     rest = f" and {len(outcomes) - MOST_NAMED} more" if len(outcomes) > MOST_NAMED else ""
     return ", ".join(names) + rest
 

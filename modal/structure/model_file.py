@@ -53,9 +53,6 @@ if TYPE_CHECKING:
 _MOST_TEXT = 1 << 25
 """Read no text file of more bytes: 32 MiB, a matrix of more than a thousand DOFs."""
 
-_MOST_ARRAYS = 1 << 28
-"""Read no NPZ file whose arrays are larger than so many bytes, unpacked: 256 MiB."""
-
 _OPTIONS = "options"
 """Member of an NPZ file that holds, as JSON text, what is no array."""
 
@@ -260,7 +257,7 @@ def _with_numbers(value: Any) -> Any:
 
 def _read_npz(path: Path) -> Any:
     document: dict[str, Any] = {}
-    with sound_archive(path, most=_MOST_ARRAYS) as archive:
+    with sound_archive(path, most=1 << 28) as archive:  # 256 MiB unpacked
         for member in archive.infolist():
             document[member.filename.removesuffix(".npy")] = _plain(array_of(archive, member))
     options = document.pop(_OPTIONS, "{}")

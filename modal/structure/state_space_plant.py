@@ -119,9 +119,6 @@ def _rates(decays: FloatArray) -> tuple[float, ...]:
     return tuple(kept)
 
 
-_MOST_PAIRED = 12
-"""Make every pair of outputs a place up to so many of them; beyond, only neighbours in the order of the outputs."""
-
 _ACCEPTS = {
     "mechanical": frozenset({"motion", "force", "mass"}),
     "shaft": frozenset({"motion", "force"}),
@@ -214,7 +211,7 @@ def _static_stiffness(A: FloatArray, motion: OutputMotion, opposing: FloatArray)
 
 
 def _pairs(motions: tuple[OutputMotion, ...]) -> list[tuple[int, int]]:
-    reach = len(motions) if len(motions) <= _MOST_PAIRED else 1
+    reach = len(motions) if len(motions) <= 12 else 1  # beyond, only neighbours in the order of the outputs
     return [
         (i, j)
         for i, first in enumerate(motions)

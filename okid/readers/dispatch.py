@@ -184,10 +184,6 @@ def _shared(group: list[UnitConversion]) -> str:
     return f"{names}{more}: {rest}"
 
 
-GRID_TOLERANCE = 0.1
-"""How far two files' time grids may drift apart, in time steps."""
-
-
 def records_of_tables(
     tables: Sequence[Table],
     *,
@@ -241,7 +237,7 @@ def _joined(tables: Sequence[Table], held: Sequence[frozenset[str]]) -> Table:
         if (
             table.n_samples != first.n_samples
             or (step is None) != (other_step is None)
-            or (step is not None and drift > GRID_TOLERANCE * step)
+            or (step is not None and drift > 0.1 * step)
         ):
             raise InvalidDataError(
                 f"{first.path.name} and {table.path.name} hold different channels, so they are parts of one record, "

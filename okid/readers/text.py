@@ -273,9 +273,6 @@ def _refuse_text_column(lines: Sequence[str], file_name: str) -> None:
                 _refuse_text(cells, names, number, dialect, file_name)
 
 
-TEXT_ROWS = 4
-"""Expect no more lines of names and units among those as wide as the table."""
-
 COPIES_OF_TEXT, COPIES_OF_TABLE = 3.0, 1.25
 """Expect so many: of a text that is changed before it is read, and of the table of float64 while it is put together."""
 
@@ -352,7 +349,7 @@ def _text_columns(head: bytes) -> tuple[Dialect, tuple[int, ...]] | None:
         text = tuple(k for k in range(width) if not holds[k] and any(not is_missing(row[k]) for row in full))
         cells = [[row[k] for row in full if not is_missing(row[k])] for k in text]
         measured = any(2 * sum(map(bool, map(_OTHERWISE.fullmatch, column))) > len(column) for column in cells)
-        if text and numbers and not measured and len(full) >= len(rows) - TEXT_ROWS:
+        if text and numbers and not measured and len(full) >= len(rows) - 4:  # lines of names and units
             return dialect, text
     return None
 

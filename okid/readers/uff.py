@@ -21,8 +21,6 @@ from okid.readers.guard import Existing, check_channel_count, check_memory, fore
 from okid.readers.table import Column, LeftOut, Table
 from okid.readers.units import convert_unit
 
-MEMORY_A_BYTE = 8.0
-
 
 class Universal:
     """Numbers of the data sets and of what they hold."""
@@ -138,7 +136,7 @@ def open_uff(path: Path) -> UniversalFile:
         UnreadableFileError: cut off, too large, or no universal file.
     """
     pyuff = optional_package("pyuff", path)
-    check_memory(path, MEMORY_A_BYTE * path.stat().st_size)
+    check_memory(path, 8.0 * path.stat().st_size)
     _check_end(path)
     file = _guarded(path, lambda: pyuff.UFF(str(path)))
     return UniversalFile(path, file, tuple(int(kind) for kind in _guarded(path, file.get_set_types)))

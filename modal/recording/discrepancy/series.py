@@ -7,7 +7,6 @@ steps are spread evenly from the beginning to the end, so that the page plays on
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
@@ -29,9 +28,6 @@ from modal.recording.series import (
 from modal.recording.tables import log_table
 from modal.sections.discrepancy_stages import Stage, gap_of, ran_through, rows_of, stages_of, worst_outputs
 from modal.sections.discrepancy_values import hypothesis_text, times_floor
-
-SERIES_PER_OUTPUT: Final = 8
-"""Count so many of an output: measured, simulated and gap of up to three states, and the noise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -71,7 +67,7 @@ def planned_diagnosis(diagnosis: Diagnosis) -> DiscrepancyPlan:
     numbers = tuple(k for k, step in enumerate(diagnosis.steps) if ran_through(step))
     gaps = {stage.step: stage.gap for stage in stages}
     size = stages[0].gap.in_floors if stages else np.ones((len(records), records[0].n_outputs))
-    n_series = SERIES_PER_OUTPUT * records[0].n_outputs
+    n_series = 8 * records[0].n_outputs  # measured, simulated and gap of up to three states, noise
     shown = worst_outputs(stages[0].gap, Views.OUTPUTS) if stages else list(range(min(Views.OUTPUTS, size.shape[1])))
     return DiscrepancyPlan(
         stages=stages,

@@ -41,9 +41,6 @@ PREDICTED: Final[Colour] = (120, 205, 200)
 ONE_STEP: Final[Colour] = (250, 170, 160)
 """Draw what is predicted one step ahead, and what that leaves, in these colours."""
 
-DRAWN_PAIRS: Final = 4
-"""Draw the strongest response of each of so many outputs."""
-
 
 def log_fit_page(identification: Identification, recording: RecordingStream, plan: Plan) -> None:
     """Predicted and simulated outputs with their residuals, fit table, Markov parameters, whiteness."""
@@ -117,7 +114,7 @@ def _log_markov(identification: Identification, recording: RecordingStream) -> N
     numbers = system.reshape(lags.size, -1)
     log_sequence(recording, "fit/markov/numbers", timeline="lag", index=lags, values=numbers, names=names)
     strength = np.abs(scaled[1:]).max(axis=0)
-    pairs = [(i, int(strength[i].argmax())) for i in np.argsort(-strength.max(axis=1), kind="stable")[:DRAWN_PAIRS]]
+    pairs = [(i, int(strength[i].argmax())) for i in np.argsort(-strength.max(axis=1), kind="stable")[:4]]
     chart, panel = one_panel(STYLE.page, STYLE.page)
     for (i, j), role in zip(pairs, IN_TURN, strict=False):
         panel.line(lags * markov.dt, scaled[:, i, j], role, label=f"{label(out[i], 11)} / {label(into[j], 11)}")
@@ -138,10 +135,6 @@ def _log_whiteness(identification: Identification, recording: RecordingStream) -
         short = [label(name, 14) for name in first.output_names]
         chart = residual_autocorrelation(residuals, output_names=short, n_outputs=Views.OUTPUTS)
         log_chart(recording, WHITENESS, chart)
-
-
-DETAILED_OUTPUTS: Final = 4
-"""Set a window beside each output on the first tab up to so many outputs."""
 
 
 def fit_page(identification: Identification, plan: Plan) -> Any:
@@ -186,7 +179,7 @@ def _everything(identification: Identification, plan: Plan) -> Any:
         return _one_output(identification, plan, 0)
     rows: list[Any] = inputs_view(plan.data)
     shares = [0.8] * len(rows)
-    if len(outputs) <= DETAILED_OUTPUTS:
+    if len(outputs) <= 4:
         for i in outputs:
             pair = (run_view(identification, plan, i, legend=i == 0), _window(identification, plan, i))
             rows.append(rrb.Horizontal(*pair, column_shares=[1.5, 1.0], name=label(_name(identification, i))))
