@@ -19,8 +19,6 @@ class DisplayLimits:
     """Show an object in one line where it is no longer than this."""
     MOST_LINES: Final = 18
     """Show so many fields at most; what is left out is counted in one more line."""
-    MOST_NUMBERS: Final = 6
-    """Write an array of more numbers as its type and shape."""
 
 
 class Displayed:
@@ -122,7 +120,7 @@ def in_short(value: Any) -> str:
 
 
 def _array(value: npt.NDArray[Any]) -> str:
-    if value.size > DisplayLimits.MOST_NUMBERS or value.dtype == object:
+    if value.size > 6 or value.dtype == object:
         return f"{value.dtype} {value.shape}"
     return " ".join(np.array2string(value, precision=4, separator=", ").split())
 

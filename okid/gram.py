@@ -363,6 +363,10 @@ def turn_gram(records: Sequence[Record], order: int, *, scaling: ChannelScaling,
     )
 
 
+_EDGE_VALUES = 1 << 20
+"""Edge samples that are kept before they are folded into the matrix."""
+
+
 class _Edges:
     """What chunks add to besides lag correlations: counts, column sums, and the samples at the edges of runs."""
 
@@ -378,7 +382,7 @@ class _Edges:
         """Note the `order` samples before rows `start` and `stop`; a block's rows begin at its row `order`."""
         self.heads.append(block[start : start + self.order][::-1].reshape(1, -1).copy())
         self.tails.append(block[stop : stop + self.order][::-1].reshape(1, -1).copy())
-        if len(self.heads) * self.order * self.n_channels > 1 << 20:
+        if len(self.heads) * self.order * self.n_channels > _EDGE_VALUES:
             self.fold()
 
     def fold(self) -> None:

@@ -67,8 +67,6 @@ class FileLimits:
 
     LONGEST_NAME: Final = 200
     """Refuse the name of a limit, a channel or a sensor with more letters: it stands in a table."""
-    LONGEST_TEXT: Final = 2000
-    """Refuse a longer text: a report is asked to show it."""
     MOST_LIMITS: Final = 1000
     """Refuse a file with more limits: each is a row of the report."""
 
@@ -142,7 +140,7 @@ class TomlTable:
         """Whether the table has the key."""
         return key in self.values
 
-    def text(self, key: str, *, longest: int = FileLimits.LONGEST_TEXT) -> str:
+    def text(self, key: str, *, longest: int = 2000) -> str:
         """A text, "" where there is none; a serial number may be written as a number."""
         value = self.values.get(key, "")
         if isinstance(value, bool) or not isinstance(value, str | int | float):

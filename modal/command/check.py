@@ -30,10 +30,6 @@ _HEADINGS = {"bad": "Bad", "doubtful": "Doubtful", "note": "Good to know"}
 class TableSize:
     """How much of a check a terminal shows."""
 
-    LONGEST_NAME: Final = 28
-    """Shorten the name of a channel to so many letters in the table."""
-    WIDE: Final = 100
-    """Show mean and extremes of each channel where a line has so many letters."""
     LEAST_FOUND: Final = 18
     """Keep so many letters for a channel and for what was found in it, so that both fit into 80."""
     MOST_CHANNELS: Final = 40
@@ -80,7 +76,7 @@ def _shown(channels: Sequence[ChannelQuality]) -> list[ChannelQuality]:
 
 def _table(channels: Sequence[ChannelQuality], *, width: int) -> Table:
     """One row a channel, first what was found; on a narrow screen without the mean and the extremes."""
-    wide = width >= TableSize.WIDE
+    wide = width >= 100
     table = Table(box=None, pad_edge=False, header_style="bright_black", padding=(0, 2, 0, 0))
     table.add_column("channel", no_wrap=True)
     table.add_column("found", ratio=1, min_width=TableSize.LEAST_FOUND)
@@ -94,7 +90,7 @@ def _table(channels: Sequence[ChannelQuality], *, width: int) -> Table:
         numbers = channel.statistics
         values = (numbers.mean, numbers.std, numbers.smallest, numbers.largest) if wide else (numbers.std,)
         table.add_row(
-            plain(shorten(channel.name, TableSize.LONGEST_NAME if wide else TableSize.LEAST_FOUND)),
+            plain(shorten(channel.name, 28 if wide else TableSize.LEAST_FOUND)),
             _what(channel),
             plain(channel.role, "bright_black"),
             *(plain(_number(x)) for x in values),

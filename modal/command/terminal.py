@@ -39,8 +39,6 @@ from okid.errors import visible
 class Shown:
     """How much a terminal shows, and from when on."""
 
-    LONGEST_NAME: Final = 80
-    """Shorten the name of a limit, which is a stranger's text, to so many letters."""
     MOST_NOISE: Final = 5
     """Name so many noise poles; the report has all."""
     LEAST_SHARE: Final = 0.05
@@ -151,7 +149,7 @@ def show_limits(console: Console, limits: Sequence[LimitOutcome]) -> None:
 
 
 def _limit_text(outcome: LimitOutcome) -> str:
-    text = f"{shorten(outcome.what, Shown.LONGEST_NAME)}: wanted {outcome.required}; found {outcome.found}"
+    text = f"{shorten(outcome.what, 80)}: wanted {outcome.required}; found {outcome.found}"
     return f"{text} ({outcome.reason})" if outcome.reason else text
 
 

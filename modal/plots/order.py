@@ -15,16 +15,6 @@ from modal.wording.text import hertz
 from okid.arrays import FloatArray
 from okid.record import Record
 
-
-class OrderLimits:
-    """How much a picture of the order shows."""
-
-    MOST_POLES: Final = 4000
-    """Draw at most so many poles of all orders; of more, only those of every second, third, ... order."""
-    MOST_LEVELS: Final = 4
-    """Set the labels of modes on so many lines; where modes stand closer than that, leave some out."""
-
-
 OVERLAP_CLASSES = ((0.0, 0.5, "new"), (0.5, 0.8, "0.5 to 0.8"), (0.8, 0.95, "0.8 to 0.95"), (0.95, 1.01, "above 0.95"))
 """Overlap with the pole that it continues: (from, below, word)."""
 REPEATABILITY_CLASSES = (
@@ -117,7 +107,7 @@ def mark_modes(panel: Panel, modes: ModalModel, room: float) -> None:
     """A line for each mode of the system, its frequency above where there is room."""
     for mode, level in zip(modes.system, _levels(modes.frequencies, room), strict=True):
         panel.upright(mode.frequency, "system", width=STYLE.thin, opacity=STYLE.half)
-        if level < OrderLimits.MOST_LEVELS:
+        if level < 4:  # where modes stand closer, some are left out
             up = STYLE.line * STYLE.tick * level + STYLE.gap
             panel.word(mode.frequency, np.inf, hertz(mode.frequency), "system", anchor="middle", shift=(0.0, -up))
             panel.rows_above = max(panel.rows_above, level + 1)
@@ -130,7 +120,7 @@ def pole_classes(evidence: OrderEvidence) -> tuple[tuple[str, tuple[Stabilisatio
     """
     points = [point for point in evidence.stabilisation if np.isfinite(point.frequency)]
     orders = sorted({point.order for point in points}, reverse=True)
-    step = -(-len(points) // OrderLimits.MOST_POLES)
+    step = -(-len(points) // 4000)  # of more, those of every second, third, ... order
     kept = set(orders[:: max(1, step)])
     measure, classes, _ = colour_measure(evidence)
     return tuple(

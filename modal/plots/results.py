@@ -168,10 +168,6 @@ class ResultLimits:
 
     MOST_SHOWN: Final = 6
     """Draw so many outputs, laws or pairs of channels at most, the worst or the strongest of them."""
-    DEEPEST: Final = 1e-10
-    """Draw power down to this part of the peak: what lies deeper is the rounding of an empty spectrum."""
-    PERIODS: Final = 10.0
-    """Show so many periods of the slowest mode in the enlarged part of a time history."""
 
 
 def stabilisation(result: Identification, *, axes: "Axes | Sequence[Axes] | None" = None) -> "Figure":
@@ -285,7 +281,7 @@ def overview(result: Identification) -> Chart:
         (mean[1], "model", STYLE.thin),
     )
     for power, role, width in lines:
-        level = 10.0 * np.log10(np.maximum(power[seen] / peak, ResultLimits.DEEPEST))
+        level = 10.0 * np.log10(np.maximum(power[seen] / peak, 1e-10))  # deeper lies the rounding of an empty spectrum
         lowest = min(lowest, float(np.nanmin(level, initial=0.0))) if role == "measured" else lowest
         panel.line(frequency[seen], level, role, width=width, label=role)
     doubtful = [mode for mode in result.modes if mode.verdict == "doubtful" and mode.kind == "oscillatory"]
@@ -310,7 +306,7 @@ def fit_chart(result: Identification) -> Chart:
         result.simulated[0],
         outputs=least_fitted(result),
         fits=result.fit.cross_validated,
-        detail=None if slowest is None else ResultLimits.PERIODS / slowest,
+        detail=None if slowest is None else 10.0 / slowest,  # periods of the slowest mode
     )
 
 

@@ -23,18 +23,11 @@ class ShapeLimits:
     """How much of a structure one picture shows."""
 
     MOST_SEGMENTS: Final = 3000
-    MOST_TRIANGLES: Final = 3000
-    """Draw at most so many lines and triangles in one panel, so that a picture of thousands of nodes stays light."""
+    """Draw at most so many lines in one panel, and as many triangles: a picture of thousands of nodes stays light."""
     MOST_COLUMNS: Final = 6
-    MOST_NAMES: Final = 24
-    """Stand so many panels in a row and so many names of outputs beside a stick."""
-    LEAST_IMAGINARY: Final = 0.05
-    """Draw the imaginary part of a shape where it exceeds this, of the greatest component."""
-    MOST_ARROWS: Final = 300
+    """Stand so many panels in a row."""
     MOST_DOTS: Final = 1000
-    MOST_NAMED: Final = 120
-    MOST_LARGE: Final = 40
-    """Show at most so many arrows, dots, names and large dots in one picture."""
+    """Show at most so many dots in one picture."""
 
 
 NAME_SIZE: Final = 7.5
@@ -84,7 +77,7 @@ def draw_lines(
 
 def draw_surfaces(panel: Panel, scene: Scene, positions: FloatArray, role: Role, *, opacity: float) -> None:
     """The surfaces of the structure, those behind first."""
-    triangles = scene.triangles[:: -(-len(scene.triangles) // ShapeLimits.MOST_TRIANGLES) or 1]
+    triangles = scene.triangles[:: -(-len(scene.triangles) // ShapeLimits.MOST_SEGMENTS) or 1]
     if not len(triangles):
         return
     depth = (positions @ scene.eye.towards)[triangles].mean(axis=1)
@@ -178,11 +171,11 @@ def geometry_picture(geometry: Geometry, *, output_names: Sequence[str] = ()) ->
     figure, panel = one_panel(width, height)
     draw_surfaces(panel, scene, rest, "measured", opacity=STYLE.faint)
     draw_lines(panel, scene, rest, "muted", width=STYLE.stroke)
-    ends = [scene.eye.seen(np.array([tail, tail + arrow])) for tail, arrow in arrows[: ShapeLimits.MOST_ARROWS]]
+    ends = [scene.eye.seen(np.array([tail, tail + arrow])) for tail, arrow in arrows[:300]]  # of more, the first
     panel.segments(ends, "model", arrows=True)
     _draw_points(panel, scene, rest, "measured")
     frame.put(panel)
-    if geometry.n_nodes <= ShapeLimits.MOST_NAMED:
+    if geometry.n_nodes <= 120:  # more names would cover the picture
         texts = [plot_label(name, limit=12) for name in geometry.node_names]
         place_labels(panel, frame, scene.eye.seen(rest), texts, size=(width, height))
     return figure
@@ -205,7 +198,7 @@ def _draw_points(panel: Panel, scene: Scene, positions: FloatArray, role: Role) 
             seen[measured, 0],
             seen[measured, 1],
             role,
-            dot=STYLE.dot if len(measured) <= ShapeLimits.MOST_LARGE else 3.5,
+            dot=STYLE.dot if len(measured) <= 40 else 3.5,
         )
     fixed = list(scene.placement.geometry.fixed)
     if 0 < len(fixed) <= ShapeLimits.MOST_DOTS:
@@ -224,12 +217,12 @@ def _in_a_row(modes: Sequence[Mode], output_names: Sequence[str]) -> Chart:
         panel.polygons([np.concatenate(sides)], mode.verdict, opacity=STYLE.faint)
         panel.line(-shape.real, place, mode.verdict, width=STYLE.thin, opacity=STYLE.half)
         panel.line(shape.real, place, mode.verdict, width=STYLE.thick, dot=STYLE.dot)
-        if np.abs(shape.imag).max() > ShapeLimits.LEAST_IMAGINARY:
+        if np.abs(shape.imag).max() > 0.05:  # of the greatest component
             panel.line(shape.imag, place, "muted", dash="dotted")
         panel.head, panel.centred = f"{hertz(mode.frequency)} Hz", True
         panel.x.limits, panel.y.limits = (-1.18, 1.18), (0.4, len(output_names) + 0.6)
         panel.x.ticks = [(-1.0, "−1"), (0.0, "0"), (1.0, "1")]
-        panel.y.ticks = labels[:: -(-len(labels) // ShapeLimits.MOST_NAMES)]
+        panel.y.ticks = labels[:: -(-len(labels) // 24)]
         panel.y.labelled, panel.edges = index % ShapeLimits.MOST_COLUMNS == 0, "below"
         panel.x.grid = panel.y.grid = False
     return figure

@@ -115,22 +115,10 @@ class Drawing:
 
     ENLARGED: Final = 2.0
     """Enlarge a chart so much: a row of words, 10.6 points, is as high as a label of the viewer with its ground."""
-    DOTS: Final = 0.7
-    """Draw a dot with a radius of so much of its diameter in print."""
-    STROKE: Final = 6.0
-    """Fill a box with strokes of at most this height, in view units: their ends are round."""
-    LETTER: Final = 7.0
-    """Take a letter of a label as this wide, in view units."""
     PADDING: Final = 12.0
     """Leave so much between the words of a label and its ends, in view units."""
-    BUBBLE: Final = 19.0
-    """Raise a label by this, in view units: it hangs below its point, and its middle is to stand where it is asked
-    for."""
     KEY_ROWS: Final = 2
     """Give a key so many rows, the first of them beside the head; say how many more there are."""
-    WORDS_SHARE: Final = 0.3
-    """Set the words of rows above their bars, inside of the panel, when beside it they need more of the pane than
-    this."""
 
 
 COLOURS: Final[dict[Role, Colour]] = {
@@ -232,13 +220,14 @@ def _wrapped(panel: Panel, entries: Sequence[tuple[str, Colour]]) -> list[list[t
 
 
 def _wide(text: str) -> float:
-    return Drawing.LETTER * len(text) + 2.0 * Drawing.PADDING
+    # about the width of a letter
+    return 7.0 * len(text) + 2.0 * Drawing.PADDING
 
 
 def _words_inside(chart: Chart, panel: Panel) -> None:
     """Take long words from beside their rows to above their bars; one row lies 1 below the other."""
     ticks = panel.y.ticks or ()
-    if max([_wide(text) for _, text in ticks], default=0.0) > Drawing.WORDS_SHARE * Drawing.ENLARGED * chart.width:
+    if max([_wide(text) for _, text in ticks], default=0.0) > 0.3 * Drawing.ENLARGED * chart.width:
         panel.y.labelled = False
         for place, text in ticks:
             panel.word(-math.inf, place - 0.5, text, "ink", shift=(0.0, STYLE.tick / 3))
@@ -311,7 +300,7 @@ def _log_words(recording: RecordingStream, path: str, said: Sequence[Said]) -> N
     if not said:
         return
     labels = rr.Points2D(
-        [(x, y - Drawing.BUBBLE) for x, y, _, _ in said],
+        [(x, y - 19.0) for x, y, _, _ in said],  # a label hangs below its point
         radii=rr.Radius.ui_points(0.0),
         colors=[colour for *_, colour in said],
         labels=[drawable(text) for _, _, text, _ in said],
@@ -363,7 +352,7 @@ def _log_dots(recording: RecordingStream, path: str, panel: Panel, curve: Curve,
     texts = [drawable(f"{along} {x:.5g}: {upwards} {y:.5g}") for x, y in shown.tolist()]
     dots = rr.Points2D(
         seen_at(panel, *shown.T),
-        radii=rr.Radius.ui_points(Drawing.DOTS * curve.dot),
+        radii=rr.Radius.ui_points(0.7 * curve.dot),
         colors=colour_of(curve.role, curve.opacity),
         labels=texts,
         show_labels=False,
@@ -384,7 +373,7 @@ def _log_area(recording: RecordingStream, path: str, panel: Panel, area: Area, o
     strokes, radii = [], []
     for rim in rims:
         (left, top), (right, bottom) = rim.min(axis=0), rim.max(axis=0)
-        n_strokes = max(1, math.ceil((bottom - top) / Drawing.STROKE))
+        n_strokes = max(1, math.ceil((bottom - top) / 6.0))  # their ends are round
         edges, radius = np.linspace(top, bottom, n_strokes + 1), (bottom - top) / (2 * n_strokes)
         ends = min(left + radius, right), max(right - radius, left)
         strokes += [[(end, middle) for end in ends] for middle in ((edges[1:] + edges[:-1]) / 2).tolist()]

@@ -90,21 +90,12 @@ class Views:
 
     INPUTS: Final = 6
     OUTPUTS: Final = 12
-    MODES: Final = 9
     """Give so many of each a view, whatever comes; the numbers of all the others are stored as well."""
 
 
 class Counted:
-    """What a segment, a response and an output may take."""
+    """What a response may take."""
 
-    ENTITIES_PER_OUTPUT: Final = 3
-    SERIES_PER_OUTPUT: Final = 5
-    """Count so many of an output: measured; predicted and simulated; the residuals of both."""
-    LONGEST_SEGMENT: Final = 8192
-    """Cut segments of so many samples: 4096 lines are more than a screen shows, and longer ones cost time without
-    end."""
-    FINE_LINES: Final = 800
-    """Draw the response of a model at so many frequencies at least, as far as memory allows."""
     MOST_NUMBERS: Final = 300_000
     """Store so many lines of the response times its pairs of channels, at most."""
 
@@ -163,8 +154,9 @@ def planned(identification: Identification, geometry: Geometry | None = None) ->
     """
     records = identification.records or (_time_alone(identification),)
     first = records[0]
-    n_entities = first.n_inputs + Counted.ENTITIES_PER_OUTPUT * first.n_outputs
-    budget = row_budget(n_entities, first.n_inputs + Counted.SERIES_PER_OUTPUT * first.n_outputs)
+    n_entities = first.n_inputs + 3 * first.n_outputs  # measured; the model; its residuals
+    # measured; predicted, simulated and the residuals of both
+    budget = row_budget(n_entities, first.n_inputs + 5 * first.n_outputs)
     around = tuple(_worst_sample(*pair) for pair in zip(records, identification.simulated or records, strict=True))
     data = planned_data(records, budget=budget, around=around)
     modes = tuple(mode for _, mode in numbered(identification.modes.modes))
@@ -230,7 +222,7 @@ def _drawn(modes: tuple[Mode, ...]) -> tuple[int, ...]:
     for verdict in ("system", "doubtful"):
         chosen = [number for number, mode in enumerate(modes, start=1) if mode.verdict == verdict]
         if chosen:
-            return tuple(chosen[: Views.MODES])
+            return tuple(chosen[:9])
     return ()
 
 
@@ -277,7 +269,7 @@ def gather(identification: Identification, quality: DataQuality | None = None) -
         measured = response_of(identification.records)
         if measured is not None:
             n_lines, n_pairs = measured.frequencies.size, measured.frf[0].size
-            step = max(1, min(-(-Counted.FINE_LINES // n_lines), Counted.MOST_NUMBERS // (n_lines * n_pairs)))
+            step = max(1, min(-(-800 // n_lines), Counted.MOST_NUMBERS // (n_lines * n_pairs)))
             fine_frequencies = np.linspace(0.0, measured.frequencies[-1], step * (n_lines - 1) + 1)
             fine = frf(identification.realisation, fine_frequencies)
             fine = np.where(np.isfinite(fine), fine, np.nan)
@@ -323,7 +315,7 @@ def response_of(records: Sequence[Record]) -> MeasuredFrf | None:
         return None
     n_rows = sum(record.n_samples for record in records)
     longest = min(
-        Counted.LONGEST_SEGMENT,
+        8192,  # 4096 lines are more than a screen shows
         2 * Counted.MOST_NUMBERS // (first.n_inputs * first.n_outputs),
         n_rows // FEWEST_AVERAGES,
     )

@@ -38,10 +38,6 @@ class DiskBudget:
     """Count so much on disk for a row of an entity (its time and its identity) and for each value in it: files of
     Rerun 0.41 with 200 000 rows of noise and 1, 2, 3, 5 and 8 values a row took 22.1, 30.1, 38.2, 54.2 and 78.3
     bytes a row."""
-    DETAIL_SHARE: Final = 8
-    """Give each stretch of detail this part of the rows; a record has two at most, the overview has the rest."""
-    LONGEST_DETAIL: Final = 20_000
-    """Store so many samples of a stretch of detail, at most."""
 
 
 def row_budget(n_entities: int, n_values: int) -> int:
@@ -92,7 +88,7 @@ def stored_stretches(n_samples: int, budget: int, *, around: Sequence[int] = ())
     """
     if n_samples <= budget:
         return (StoredStretch(start=0, stop=n_samples, bucket=1),)
-    length = min(DiskBudget.LONGEST_DETAIL, budget // DiskBudget.DETAIL_SHARE)
+    length = min(20_000, budget // 8)  # a record has two details at most, the overview has the rest
     middles = [length // 2, *around][:2]
     details = sorted({min(max(0, middle - length // 2), n_samples - length) for middle in middles})
     # six rows to spare: each stretch of buckets may end in one that is not full

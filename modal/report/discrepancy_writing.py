@@ -234,7 +234,6 @@ class GapPageLimits:
     MOST_HYPOTHESES: Final = 20
     """Listed in the page; the JSON file has all."""
     MOST_OUTPUTS: Final = 6
-    MOST_LAWS: Final = 6
 
 
 def diagnosis_html(
@@ -525,7 +524,7 @@ def _step_pictures(diagnosis: Diagnosis) -> dict[str, Picture]:
 
 
 def _law_pictures(diagnosis: Diagnosis) -> dict[str, Picture]:
-    laws = diagnosis.laws[: GapPageLimits.MOST_LAWS]
+    laws = diagnosis.laws[: GapPageLimits.MOST_OUTPUTS]
     if not laws:
         return {}
     parts = ["The law as found (green)"]

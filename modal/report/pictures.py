@@ -131,11 +131,9 @@ class PictureLimits:
     """How much the pictures of a page show."""
 
     MOST_SHAPES: Final = 12
-    MOST_PIECES: Final = 9000
-    """Pieces of lines and surfaces in all shapes together."""
+    """Draw so many shapes at most."""
     MOST_ASSURED: Final = 30
     """Shapes of the assurance matrix; the picture grows with the square of their number."""
-    MOST_LAGS: Final = 2000
 
 
 def draw_pictures(result: Identification, setting: Setting = NOTHING_BESIDES) -> dict[str, Picture]:
@@ -255,9 +253,7 @@ def _fit_pictures(result: Identification) -> dict[str, Picture]:
 
 def _markov_picture(result: Identification) -> dict[str, Picture]:
     names = result.channels
-    pulse = _pulse_response(
-        result.fitted_model or result.realisation, min(result.markov.n_lags, PictureLimits.MOST_LAGS)
-    )
+    pulse = _pulse_response(result.fitted_model or result.realisation, min(result.markov.n_lags, 2000))
     figure = plots.markov_parameters(
         result.markov, pulse, output_names=names.output_names, input_names=names.input_names
     )
@@ -310,7 +306,7 @@ def _n_drawn(setting: Setting) -> int:
     if setting.geometry is None:
         return PictureLimits.MOST_SHAPES
     pieces = sum(len(line) for line in setting.geometry.lines) + sum(len(face) for face in setting.geometry.surfaces)
-    return int(np.clip(PictureLimits.MOST_PIECES // max(1, pieces), 2, PictureLimits.MOST_SHAPES))
+    return int(np.clip(9000 // max(1, pieces), 2, PictureLimits.MOST_SHAPES))  # pieces in all shapes together
 
 
 def _first(shown: Sequence[object], system: Sequence[object]) -> str:

@@ -89,7 +89,6 @@ class TextLimits:
 
     MAX_REMARKS: Final = 1000
     """Lines that may stand before the first number."""
-    LINES_COMPARED: Final = 200
     SAMPLE_BYTES: Final = 1 << 20
     """How much of a file is looked at to find its layout; no line may be longer."""
     BLOCK_BYTES: Final = 8 << 20
@@ -167,7 +166,7 @@ def _all_numbers(cells: Sequence[str], dialect: Dialect) -> bool:
 def _score(lines: Sequence[str], dialect: Dialect, start: tuple[int, int]) -> tuple[int, bool, int]:
     first, n_columns = start
     alike = 0
-    for line in lines[first : first + TextLimits.LINES_COMPARED]:
+    for line in lines[first : first + 200]:
         cells = split_cells(line, dialect)
         alike += len(cells) == n_columns and _all_numbers(cells, dialect)
     above = [line for line in lines[:first] if line.strip()]

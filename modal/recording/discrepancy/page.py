@@ -153,10 +153,6 @@ class GapLimits:
 
     SHOWN: Final = 6
     """Draw so many hypotheses and so many laws, the best first."""
-    DRAWN_SAMPLES: Final = 4000
-    """Draw the gap that plays with at most so many points a step."""
-    SHOWN_PARTS: Final = 7
-    """Show so many outputs, records and bands step by step, those with the largest gap."""
 
 
 def spectrum_pane(output: int) -> Pane:
@@ -256,7 +252,7 @@ def log_steps_page(diagnosis: Diagnosis, recording: RecordingStream, plan: Discr
 
 def _draw_gap(diagnosis: Diagnosis, recording: RecordingStream, plan: DiscrepancyPlan) -> None:
     record = diagnosis.held_out[plan.record]
-    bucket = bucket_length(record.n_samples, GapLimits.DRAWN_SAMPLES)
+    bucket = bucket_length(record.n_samples, 4000)
     times = record.start_time + record.dt * positions(record.n_samples, bucket)
     curves = [reduced(gap.residuals[plan.record][:, plan.output], bucket) for gap in plan.step_gaps]
     noise = 2.0 * float(np.sqrt(plan.step_gaps[0].floor[plan.record, plan.output]))
@@ -310,7 +306,7 @@ def _shown(gaps: Sequence[Gap]) -> list[Row]:
     """The outputs, records and bands with the largest gap at first, in their order."""
     stages = [Stage(name="", kind="after", step=k, gap=gap) for k, gap in enumerate(gaps)]
     rows = rows_of(stages)
-    order = np.argsort([-np.nan_to_num(row.sizes[0]) for row in rows], kind="stable")[: GapLimits.SHOWN_PARTS]
+    order = np.argsort([-np.nan_to_num(row.sizes[0]) for row in rows], kind="stable")[:7]
     return [rows[k] for k in sorted(order.tolist())]
 
 

@@ -46,8 +46,6 @@ class Circles:
 
     ROOM: Final = (390.0, 230.0)
     """Draw in this width and height, about those of the pane on a common screen: a view unit is a point of it."""
-    WORDS: Final = 24.0
-    """Leave this height for the words under a circle, in view units."""
     GAP: Final = 7.0
     """Keep two circles so far apart, in view units."""
     MOST_COLUMNS: Final = 3
@@ -65,7 +63,8 @@ def _cells(n_shapes: int) -> tuple[int, int, float]:
     n_columns = min(max(n_shapes, 1), Circles.MOST_COLUMNS)
     n_rows = -(-max(n_shapes, 1) // n_columns)
     height = max(Circles.ROOM[1] / n_rows, 74.0)
-    return n_columns, n_rows, min(Circles.ROOM[0] / Circles.MOST_COLUMNS, height - Circles.WORDS) / 2 - Circles.GAP
+    # less the words under the circle
+    return n_columns, n_rows, min(Circles.ROOM[0] / Circles.MOST_COLUMNS, height - 24.0) / 2 - Circles.GAP
 
 
 def log_complexity(recording: RecordingStream, plan: Plan, record: Record | FrequencyResponse) -> None:
@@ -272,16 +271,6 @@ FIELDS: Final = (
 """Fields of a mode that the table stores under their own names."""
 
 
-class Cells:
-    """Numbers in the cells of the assurance matrix."""
-
-    NUMBERED: Final = 12
-    CROWDED: Final = 6
-    SMALL: Final = 0.05
-    """Write the numbers of cells up to so many shapes; beyond so many leave out those below this, which hide
-    colours."""
-
-
 def placement_in(identification: Identification, plan: Plan) -> Placement:
     """The outputs on the plan's geometry, or in a row where it has none.
 
@@ -363,9 +352,9 @@ def _log_assurance(identification: Identification, recording: RecordingStream, p
     log_table(recording, f"{ASSURANCE}/numbers", "mode", plan.shapes, {"assurance": list(matrix)})
     rows, columns = np.mgrid[:n, :n]
     cells = np.column_stack([columns.ravel(), rows.ravel()]) + 0.5
-    written = np.flatnonzero(matrix.ravel() >= (Cells.SMALL if n > Cells.CROWDED else 0.0))
+    written = np.flatnonzero(matrix.ravel() >= (0.05 if n > 6 else 0.0))  # numbers would hide the colours
     texts = [_short(value) for value in matrix.ravel()[written]]
-    _log_texts(recording, f"{ASSURANCE}/values", cells[written], texts, n, show=n <= Cells.NUMBERED)
+    _log_texts(recording, f"{ASSURANCE}/values", cells[written], texts, n, show=n <= 12)
     names = [str(number) for number in plan.shapes]
     along = np.arange(n) + 0.5
     margin = 0.09 * n**0.5
@@ -403,12 +392,6 @@ class ShapePanes:
     ROOM: Final = (1000.0, 500.0)
     TITLE: Final = 28.0
     """Share this width and height among all shapes, less a title of each, in points of a common screen."""
-    COLUMNS: Final = 4
-    """Set at most so many panes side by side, so that each is wide enough for its title."""
-    MARGIN: Final = 1.1
-    """Show so much more than the shapes reach."""
-    AIMING: Final = 20
-    """Move the aim so often, each time halving what is off."""
 
 
 def modes_page(identification: Identification, plan: Plan) -> Any:
@@ -447,7 +430,7 @@ def _grid(n_views: int, scene: Scene, points: FloatArray) -> tuple[int, float]:
     """Columns of the grid of shapes and width over height of its panes: those that show the structure largest."""
     width, height = np.maximum(np.ptp(scene.eye.seen(points), axis=0), 0.3)
     sizes = {}
-    for n_columns in range(1, min(n_views, ShapePanes.COLUMNS) + 1):
+    for n_columns in range(1, min(n_views, 4) + 1):  # wide enough for a title
         pane = _pane(n_views, n_columns)
         sizes[n_columns] = min(pane[0] / width, pane[1] / height)
     n_columns = max(sizes, key=lambda one: (round(sizes[one], 6), -one))
@@ -484,9 +467,9 @@ def _eye(scene: Scene, points: FloatArray, aspect: float) -> Any:
     seen = eye.seen(points)
     middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
     depth = points @ eye.towards
-    half = ShapePanes.HALF_VIEW * np.array([aspect, 1.0]) / ShapePanes.MARGIN
+    half = ShapePanes.HALF_VIEW * np.array([aspect, 1.0]) / 1.1
     distance = 1.0
-    for _ in range(ShapePanes.AIMING):
+    for _ in range(20):  # each time halving what is off
         needed = np.abs(seen - middle) / half + depth[:, np.newaxis]
         distance = max(float(needed.max()), float(depth.max()) + 0.5)
         on_screen = (seen - middle) / (distance - depth)[:, np.newaxis]

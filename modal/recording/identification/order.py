@@ -37,8 +37,6 @@ class Orders:
     """List so many poles of an order."""
     POLES: Final = 20.0
     """Draw what plays on "model_order" over all lines of the chart."""
-    RESPONSE_LINES: Final = 1024
-    """Store the response of the model at so many frequencies."""
 
 
 def is_repeatability_known(evidence: OrderEvidence) -> bool:
@@ -194,7 +192,7 @@ def log_order_page(identification: Identification, recording: RecordingStream, p
     evidence = identification.order_evidence
     _log_numbers(evidence, recording)
     log_order_texts(evidence, recording, plan)
-    frequencies = np.linspace(0.0, 0.5 / identification.realisation.dt, Orders.RESPONSE_LINES + 1)[1:]
+    frequencies = np.linspace(0.0, 0.5 / identification.realisation.dt, 1024 + 1)[1:]
     _log_response(recording, frequencies, _response_size(identification, frequencies))
     for pane, chart in (
         (SINGULAR_VALUES, singular_values(evidence, limit=max(40, 4 * evidence.order))),

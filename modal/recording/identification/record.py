@@ -37,18 +37,10 @@ from okid.record import Record
 class RecordLimits:
     """How much of a record is shown."""
 
-    LISTED_FINDINGS: Final = 20
-    """List so many findings in words, the gravest first; the table of findings holds all."""
     MOST_MARKS: Final = 10
     """Mark so many findings on the time axis, a row each."""
-    SHORTEST_MARK: Final = 0.004
-    """Draw a mark at least this share of the timeline long, so that it is seen."""
     SHOWN_SPECTRA: Final = 6
     """Draw the spectra of so many inputs and of so many outputs."""
-    SPECTRUM_DECADES: Final = 8.0
-    """Leave out of the range of a spectrum what lies so many decades below its peak."""
-    ONE_COLUMN: Final = 4
-    """Set outputs one below the other up to so many, in two columns beyond."""
 
 
 def quality_text(quality: DataQuality, records: Sequence[Record]) -> str:
@@ -62,7 +54,7 @@ def quality_text(quality: DataQuality, records: Sequence[Record]) -> str:
         f"{_count(first.n_inputs, 'input')}, {_count(first.n_outputs, 'output')}."
     )
     parts = [f"### {cell(quality.verdict)}", extent]
-    found = quality.findings[: RecordLimits.LISTED_FINDINGS]
+    found = quality.findings[:20]
     lines = [
         f"{k}. **{one.level}**, {cell(one.where, 80)}: {cell(one.sentence)}" for k, one in enumerate(found, start=1)
     ]
@@ -201,7 +193,7 @@ def _log_marks(records: Sequence[Record], quality: DataQuality, recording: Recor
 
     A bar is at least so long that it is seen; the table "quality/findings" has the times themselves.
     """
-    shortest = RecordLimits.SHORTEST_MARK * (plan.stop - plan.start)
+    shortest = 0.004 * (plan.stop - plan.start)  # so that it is seen
 
     for row, (number, finding) in enumerate(marked(quality), start=1):
         times: list[float] = []
@@ -247,7 +239,7 @@ def _draw_spectra(quality: DataQuality, recording: RecordingStream, plan: DataPl
         high = float(np.nanmax(quality.densities[:, shown], initial=0.0))
         seen = quality.densities[:, shown].ravel()
         panel.y.log = True
-        panel.y.limits = panel.y.fitted(seen[seen >= high * 10.0**-RecordLimits.SPECTRUM_DECADES])
+        panel.y.limits = panel.y.fitted(seen[seen >= high * 1e-8])  # decades below the peak
         panel.y.label, panel.key = f"{role}s [{_density_unit(quality, role)}]", "best"
     if coherence is not None:
         panel = chart.panels[-1]
@@ -288,7 +280,7 @@ def record_page(records: Sequence[Record], plan: DataPlan, quality: DataQuality)
 
 
 def _columns(plan: DataPlan) -> int:
-    return 1 if len(plan.shown_outputs) <= RecordLimits.ONE_COLUMN else 2
+    return 1 if len(plan.shown_outputs) <= 4 else 2
 
 
 def _outputs(records: Sequence[Record], plan: DataPlan) -> Any:

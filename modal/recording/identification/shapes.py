@@ -40,14 +40,8 @@ class Still:
 
     SEGMENTS: Final = 20_000
     """Draw so many segments of the structure at rest: many more would make a viewer slow."""
-    NAMED_LETTERS: Final = 48
-    NAMED_SHAPES: Final = 4
-    """Name the nodes where their names have so many letters in all, in so many pictures."""
     STEMS: Final = 16
     """Give up to so many measured nodes a stem from rest to where they are."""
-    ARROWS: Final = 60
-    ARROW: Final = 0.16
-    """Show up to so many sensors as arrows of this length; half the largest extent is 1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -126,7 +120,7 @@ def log_shape(mode: Mode, number: int, recording: RecordingStream, plan: Plan, s
     path = shape_path(number)
     pace = pace_of(scene, len(plan.shapes))
     motion = scene.motion(mode)
-    _log_structure(path, recording, scene, named=len(plan.shapes) <= Still.NAMED_SHAPES)
+    _log_structure(path, recording, scene, named=len(plan.shapes) <= 4)  # small pictures have no room for names
     _log_envelope(path, recording, scene, pace, envelope_of(motion))
     n_frames = pace.periods * pace.frames
     times = np.linspace(plan.data.start, max(plan.data.stop, plan.data.start + 1e-3), n_frames)
@@ -156,17 +150,17 @@ def _log_structure(path: str, recording: RecordingStream, scene: Scene, *, named
             radii=rr.Radius.ui_points(2.5),
             colors=Palette.GREY,
             labels=texts,
-            show_labels=named and sum(map(len, texts)) <= Still.NAMED_LETTERS,
+            show_labels=named and sum(map(len, texts)) <= 48,
         )
         recording.log(f"{path}/sensors", points, static=True, strict=True)
     if geometry.fixed:
         points = rr.Points3D(rest[list(geometry.fixed)], radii=rr.Radius.ui_points(6.0), colors=Palette.GREY)
         recording.log(f"{path}/fixed", points, static=True, strict=True)
     placed_ones = [one for one in scene.placement.sensors if one is not None]
-    if scene.placement.is_given and 0 < len(placed_ones) <= Still.ARROWS:
+    if scene.placement.is_given and 0 < len(placed_ones) <= 60:
         arrows = rr.Arrows3D(
             origins=rest[[one.node for one in placed_ones]],
-            vectors=[Still.ARROW * one.direction for one in placed_ones],
+            vectors=[0.16 * one.direction for one in placed_ones],  # half the largest extent is 1
             radii=rr.Radius.ui_points(0.9),
             colors=Palette.GOLD,
         )

@@ -24,12 +24,8 @@ from okid.arrays import ComplexArray, FloatArray
 class ValidationLimits:
     """How much of a validation is drawn."""
 
-    MOST_RESPONSES: Final = 16
-    """Draw so many pairs of output and input, the shown outputs sharing them; at least one an output."""
     DECADES: Final = 5.0
     """Show so many decades of a magnitude; of a power spectrum, which is its square, twice as many."""
-    HIGHEST: Final = 100.0
-    """Let a peak of the model rise to so many times the largest measured value, and no further."""
 
 
 def response_pane(output: int, source: int) -> Pane:
@@ -64,7 +60,7 @@ def drawn_inputs(evidence: Gathered, plan: Plan, output: int) -> tuple[int, ...]
     """
     if evidence.measured is None:
         return ()
-    n_drawn = min(Views.INPUTS, max(1, ValidationLimits.MOST_RESPONSES // len(plan.data.shown_outputs)))
+    n_drawn = min(Views.INPUTS, max(1, 16 // len(plan.data.shown_outputs)))  # pairs, shared by the outputs
     strength = np.nan_to_num(evidence.measured.ordinary_coherence[:, output]).mean(axis=0)
     return tuple(np.argsort(-strength, kind="stable")[:n_drawn].tolist())
 
@@ -79,7 +75,8 @@ def two_line_limits(
     known = [values[np.isfinite(values) & (values > 0)] for values in (seen, made)]
     first = next((values for values in known if values.size), np.array([0.1, 10.0]))
     high = float(first.max())
-    high = max(high, min(ValidationLimits.HIGHEST * high, max(float(values.max(initial=0.0)) for values in known)))
+    # a peak of the model may rise to so many times the largest measured value
+    high = max(high, min(100.0 * high, max(float(values.max(initial=0.0)) for values in known)))
     return max(float(first.min()), high * 10.0**-decades), high
 
 
