@@ -14,7 +14,7 @@ from rich.text import Text
 
 from modal.command.options import Dt, Hold, Inputs, Outputs, Records, Traceback, examples, faults, name_list
 from modal.command.run import FileSource, own_warnings, refuse_sources, sizes
-from modal.command.terminal import Screen, listing, plain, progress_bar, say_beforehand
+from modal.command.terminal import Screen, listing, number_text, plain, progress_bar, say_beforehand
 from modal.preparation.channel import LEVELS, Finding
 from modal.quality.check import check_quality, expected_check
 from modal.quality.findings import ChannelQuality, DataQuality
@@ -93,9 +93,9 @@ def _table(channels: Sequence[ChannelQuality], *, width: int) -> Table:
             plain(shorten(channel.name, 28 if wide else TableSize.LEAST_FOUND)),
             _what(channel),
             plain(channel.role, "bright_black"),
-            *(plain(_number(x)) for x in values),
+            *(plain(number_text(x, "{:.3g}")) for x in values),
             plain(shorten(channel.unit, 12 if wide else 7), "bright_black"),
-            plain(_number(numbers.signal_to_noise, "{:.0f} dB")),
+            plain(number_text(numbers.signal_to_noise, "{:.0f} dB")),
             plain(whole_percent(numbers.explained)),
         )
     return table
@@ -122,10 +122,6 @@ def _findings(console: Console, level: str, findings: Sequence[Finding]) -> None
     for finding in findings:
         rows.add_row(plain(finding.what, _COLOURS[level]), plain(finding.sentence))
     console.print(rows)
-
-
-def _number(value: float, form: str = "{:.3g}") -> str:
-    return form.format(value) if math.isfinite(value) else "–"
 
 
 def carry_out_check(source: FileSource, json: Path | None) -> DataQuality:

@@ -13,7 +13,8 @@ from modal.command.terminal import Screen, listing, plain, show_paths
 from modal.comparison import words
 from modal.comparison.changes import Comparison, Difference, ModePair, compare_results
 from modal.comparison.shifts import Shift, read_result
-from modal.report.comparison import refuse_existing_comparison, write_comparison
+from modal.report.comparison import ComparisonFiles, write_comparison
+from modal.report.folder import refuse_names
 from modal.wording.text import hertz
 from okid.readers.guard import Existing
 
@@ -112,7 +113,7 @@ def diff(
     with faults(show=traceback):
         existing: Existing = "replace" if overwrite else "refuse"
         if folder is not None:
-            refuse_existing_comparison(folder, existing)
+            refuse_names(folder, ComparisonFiles.in_folder(folder).names, existing)
         comparison = compare_results(read_result(before), read_result(after))
         files = None if folder is None else write_comparison(comparison, folder, existing=existing)
         console = Screen(highlight=False)

@@ -27,8 +27,8 @@ from modal.discrepancy.diagnosis import diagnose, expected_diagnosis_work
 from modal.discrepancy.results import Diagnosis, Finding, in_words
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
-from modal.report.discrepancy_writing import DiagnosisFiles, refuse_existing_diagnosis, write_diagnosis
-from modal.report.folder import standing
+from modal.report.discrepancy_writing import DiagnosisFiles, write_diagnosis
+from modal.report.folder import refuse_names, standing
 from modal.report.pages import hold_text
 from modal.report.pdf import write_pdf
 from modal.sections import discrepancy_words as words
@@ -176,7 +176,7 @@ def carry_out_gap(job: GapJob) -> tuple[Diagnosis, DiagnosisFiles, Console]:
         InvalidDataError: files that cannot be read or do not belong together, or a report that could not be written.
         InsufficientDataError: records that are too short or too poor.
     """
-    refuse_existing_diagnosis(job.folder, job.existing)
+    refuse_names(job.folder, DiagnosisFiles.in_folder(job.folder).names, job.existing)
     if job.pdf is not None:
         refuse_pdf(job.pdf, job.existing)
     refuse_other_report(job.folder, "modes.csv")

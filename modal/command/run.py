@@ -56,7 +56,6 @@ from modal.recording.live import log_progress, log_records, log_result
 from modal.report import ReportFiles, write_report
 from modal.report.folder import refuse_names, standing
 from modal.report.pdf import NoBrowserError, find_browser, write_pdf
-from modal.report.writing import refuse_existing
 from modal.sections.provenance import Provenance, fingerprints
 from modal.wording.text import shorten
 from okid.errors import IdentificationWarning, InvalidDataError, visible
@@ -74,7 +73,7 @@ def read_setup(job: "Job") -> tuple[Specification | None, Geometry | None]:
         InvalidDataError: a report that could not be written, or a test file or geometry that is none.
         NoBrowserError: a PDF was asked for, and nothing prints it.
     """
-    refuse_existing(job.folder, job.existing)
+    refuse_names(job.folder, ReportFiles.in_folder(job.folder).names, job.existing)
     if job.pdf is not None:
         refuse_pdf(job.pdf, job.existing)
     specification = None if job.test is None else read_specification(job.test)

@@ -163,10 +163,10 @@ def show_comparison(console: Console, comparison: Sequence[ModeComparison]) -> N
         table.add_row(
             hertz(row.frequency),
             hertz(row.found_frequency) if math.isfinite(row.found_frequency) else "–",
-            _number(100 * (row.found_frequency / row.frequency - 1), "{:+.3f} %"),
+            number_text(100 * (row.found_frequency / row.frequency - 1), "{:+.3f} %"),
             f"{100 * row.damping_ratio:.2f} %",
-            _number(100 * row.found_damping_ratio, "{:.2f} %"),
-            _number(row.assurance, "{:.3f}"),
+            number_text(100 * row.found_damping_ratio, "{:.2f} %"),
+            number_text(row.assurance, "{:.3f}"),
             plain(row.verdict or "not found", _COLOURS.get(row.verdict or "", "red")),
         )
     console.print()
@@ -209,7 +209,7 @@ def _mode_table(shown: Sequence[tuple[int, Mode]]) -> Table:
             plain(str(number), "bright_black"),
             plain(frequency_text(mode), f"bold {colour}" if mode.verdict == "system" else colour),
             plain(damping_text(mode), colour),
-            plain(_number(mode.repeatability, "{:.2f}"), colour),
+            plain(number_text(mode.repeatability, "{:.2f}"), colour),
             plain(mode.verdict, colour),
             *([plain(remark, "" if mode.verdict == "system" else colour)] if any(remarks) else []),
         )
@@ -232,7 +232,8 @@ def _first_part(reason: str) -> str:
     return "" if first.startswith("damping not resolved") else first
 
 
-def _number(value: float, form: str) -> str:
+def number_text(value: float, form: str) -> str:
+    """The value in this form, a dash where it is none."""
     return form.format(value) if math.isfinite(value) else "–"
 
 

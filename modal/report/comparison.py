@@ -11,7 +11,7 @@ from modal.comparison.changes import Comparison, ModePair, Unmatched
 from modal.comparison.shifts import ResultSummary, Shift
 from modal.identification.words import damping_text
 from modal.modes.mode import Mode
-from modal.report.folder import refuse_names, write_folder
+from modal.report.folder import FileSet, write_folder
 from modal.report.machine import as_json
 from modal.report.pages import environment
 from modal.sections.provenance import installed_version
@@ -126,7 +126,7 @@ COMPARISON_SCHEMA = "modal-report-comparison/1"
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class ComparisonFiles:
+class ComparisonFiles(FileSet):
     """Where the files of a comparison are."""
 
     html: Path
@@ -137,11 +137,6 @@ class ComparisonFiles:
     def in_folder(cls, folder: Path) -> "ComparisonFiles":
         """The names that they have in a folder."""
         return cls(html=folder / "comparison.html", markdown=folder / "comparison.md", json=folder / "comparison.json")
-
-    @property
-    def names(self) -> list[str]:
-        """File names alone."""
-        return [path.name for path in (self.html, self.markdown, self.json)]
 
 
 def write_comparison(
@@ -162,15 +157,6 @@ def write_comparison(
 
     write_folder(target, ComparisonFiles.in_folder(target).names, write, existing=existing)
     return ComparisonFiles.in_folder(target)
-
-
-def refuse_existing_comparison(folder: Path, existing: Existing) -> None:
-    """Raise before any work is done when a comparison could not be written.
-
-    Raises:
-        InvalidDataError: as in `write_comparison`.
-    """
-    refuse_names(folder, ComparisonFiles.in_folder(folder).names, existing)
 
 
 def comparison_json(comparison: Comparison) -> str:

@@ -9,8 +9,8 @@ import io
 import json
 import os
 import platform
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -19,7 +19,7 @@ import numpy as np
 from modal import recording
 from modal.discrepancy.results import Diagnosis, Finding, in_words
 from modal.plots import discrepancy as plots
-from modal.report.folder import refuse_names, write_folder
+from modal.report.folder import FileSet, write_folder
 from modal.report.machine import as_json, number_cell, record_document
 from modal.report.pages import environment, hold_text, inline
 from modal.report.pictures import Picture, drawn
@@ -135,7 +135,7 @@ def _rows(number: int, finding: Finding, status: str) -> list[list[object]]:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class DiagnosisFiles:
+class DiagnosisFiles(FileSet):
     """Where the files of a report on a diagnosis are.
 
     Attributes:
@@ -153,9 +153,6 @@ class DiagnosisFiles:
     csv: Path
     recording: Path
     model: Path | None
-
-    def __iter__(self) -> Iterator[Path]:
-        return (path for field in fields(self) if (path := getattr(self, field.name)) is not None)
 
     @classmethod
     def in_folder(cls, folder: Path, *, model: str | None = "model.json") -> "DiagnosisFiles":
@@ -184,24 +181,14 @@ def write_diagnosis(
     """
     target, source = Path(folder), provenance or Provenance()
     model = model_name(diagnosis)
-    names = [path.name for path in DiagnosisFiles.in_folder(target)]
     write_folder(
         target,
-        names,
+        DiagnosisFiles.in_folder(target).names,
         lambda made: _write_all(diagnosis, DiagnosisFiles.in_folder(made, model=model), source),
         existing=existing,
         gone=("report.pdf",),
     )
     return DiagnosisFiles.in_folder(target, model=model)
-
-
-def refuse_existing_diagnosis(folder: Path, existing: Existing) -> None:
-    """Raise before any work is done when the report of a diagnosis could not be written.
-
-    Raises:
-        InvalidDataError: as in `write_diagnosis`.
-    """
-    refuse_names(folder, [path.name for path in DiagnosisFiles.in_folder(folder)], existing)
 
 
 def model_name(diagnosis: Diagnosis) -> str | None:

@@ -15,9 +15,12 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 if sys.platform != "win32":  # there, a rename onto what is there fails by itself
     import fcntl
+
+from dataclasses import fields
 
 from okid.errors import InvalidDataError
 from okid.readers.guard import Existing
@@ -194,6 +197,21 @@ def _locked(folder: Path, *, wait: bool) -> int | None:
 def _unlocked(lock: int | None) -> None:
     if lock is not None:
         os.close(lock)
+
+
+class FileSet:
+    """The files of a report, a frozen dataclass of paths; None for one that there is not."""
+
+    __slots__ = ()
+
+    def __iter__(self) -> Iterator[Path]:
+        own: Any = self  # a dataclass: this class has no fields of its own
+        return (path for field in fields(own) if (path := getattr(self, field.name)) is not None)
+
+    @property
+    def names(self) -> list[str]:
+        """File names alone."""
+        return [path.name for path in self]
 
 
 def refuse_names(folder: Path, names: Iterable[str], existing: Existing) -> None:

@@ -16,7 +16,7 @@ References:
 
 import itertools
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Literal, get_args, overload
@@ -32,7 +32,7 @@ from modal.identification.result import Identification, write_parts
 from modal.modes.mode import Mode, numbered
 from modal.quality import DataQuality
 from modal.report.discrepancy_writing import DiagnosisFiles, write_diagnosis
-from modal.report.folder import refuse_names, write_folder
+from modal.report.folder import FileSet, refuse_names, write_folder
 from modal.report.machine import csv_text, json_text, schema_text
 from modal.report.pages import html_text, markdown_text
 from modal.report.pictures import Setting, draw_pictures, setting_of
@@ -83,7 +83,7 @@ def _add_sizes(value: object, sizes: dict[int, int]) -> None:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class ReportFiles:
+class ReportFiles(FileSet):
     """Where the files of a report on an identification are.
 
     Attributes:
@@ -105,9 +105,6 @@ class ReportFiles:
     uff55: Path
     result: Path
     recording: Path
-
-    def __iter__(self) -> Iterator[Path]:
-        return (getattr(self, field.name) for field in fields(self))
 
     @classmethod
     def in_folder(cls, folder: Path) -> "ReportFiles":
@@ -189,25 +186,16 @@ def write_report(
     require(result, Identification, where="write_report", made_by="modal.identify")
     target, source = Path(folder), provenance or Provenance()
     files = ReportFiles.in_folder(target)
-    refuse_names(target, [path.name for path in files], existing)
+    refuse_names(target, files.names, existing)
     setting = setting_of(result, geometry=geometry, specification=specification, quality=quality)
     write_folder(
         target,
-        [path.name for path in files],
+        files.names,
         lambda made: _write_all(result, ReportFiles.in_folder(made), source, setting),
         existing=existing,
         gone=("report.pdf",),
     )
     return files
-
-
-def refuse_existing(folder: Path, existing: Existing) -> None:
-    """Raise before any work is done when the report of an identification could not be written.
-
-    Raises:
-        InvalidDataError: as in `write_report`.
-    """
-    refuse_names(folder, [path.name for path in ReportFiles.in_folder(folder)], existing)
 
 
 def _write_all(result: Identification, files: ReportFiles, provenance: Provenance, setting: Setting) -> None:

@@ -395,19 +395,7 @@ def state_space_plant(
     shows, all linear forces inside it (`internal_changes`), because a wrong stiffness changes shapes and static
     response as well as poles; of a plant that is no structure the real and imaginary part of each pole.
 
-    Args:
-        system: `control.StateSpace`, `era.Realisation`, or anything with A, B, C, D and dt; minimal and stable. Without
-            states it is a plant of imposed motion and measured force, see `static_plant`.
-        sensor_kind: "displacement", "velocity" or "acceleration", one word or one an output.
-        input_hold: Of the records, to convert a discrete system by.
-        dt: Time step of the records [s], to check the system's against.
-        records: Only for a plant without states: what tells which input is the derivative of which.
-        input_names: "input_0", ... unless given.
-        output_names: "output_0", ... unless given.
-        input_units: "" unless given.
-        output_units: "" unless given.
-        frequency_tolerance: Standard deviation of the prior on the imaginary part of a pole, as a share of |pole|.
-        damping_tolerance: Relative standard deviation of the prior on the real part of a pole.
+    The arguments are those of `PlantModel.from_state_space`.
 
     Raises:
         InvalidDataError: No state space, an unstable one, one that no continuous-time system samples to, or an
