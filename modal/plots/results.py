@@ -9,28 +9,20 @@ from typing import TYPE_CHECKING, Final, Literal, cast
 
 import numpy as np
 
-from modal.plots.layout import INCH, Chart, one_panel
-from modal.plots.panels import COLOURS, STYLE, Area, Curve, Mark, Panel
-from okid.errors import InvalidDataError
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-from typing import TYPE_CHECKING
-
 from modal.geometry.scene import comparable_shapes
 from modal.identification.result import Identification
 from modal.modes.mode import Mode
 from modal.modes.response_synthesis import MeasuredFrf, frf, measured_frf, modal_frf, tabled_frf
 from modal.modes.shape_comparison import assurance as mac
 from modal.plots.histories import measured_against_simulated
-from modal.plots.layout import Key
+from modal.plots.layout import INCH, Chart, Key, one_panel
 from modal.plots.order import mark_modes, stabilisation_diagram
-from modal.plots.panels import Role
+from modal.plots.panels import COLOURS, STYLE, Area, Curve, Mark, Panel, Role
 from modal.plots.responses import model_grid, output_spectra, response_chart
 from modal.plots.shapes import assurance_matrix, mode_shapes, shape_complexity
 from modal.sections.discrepancy_stages import power_spectra
 from okid.arrays import ComplexArray, FloatArray
+from okid.errors import InvalidDataError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

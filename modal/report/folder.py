@@ -13,17 +13,16 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import fields
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
-if sys.platform != "win32":  # there, a rename onto what is there fails by itself
-    import fcntl
-
-from dataclasses import fields
-
 from okid.errors import InvalidDataError
 from okid.readers.guard import Existing
+
+if sys.platform != "win32":  # there, a rename onto what is there fails by itself
+    import fcntl
 
 STOPS = tuple(
     number

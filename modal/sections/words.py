@@ -5,22 +5,19 @@ all take their words from here, so that they cannot disagree.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from modal.identification.result import Identification
 from modal.modes.mode import Mode
-from modal.verdict.judgement import FOUND_AGAIN
+from modal.verdict.judgement import DOUBTED, FOUND_AGAIN, LEAST_PART, SYSTEM_FROM
 from modal.wording.text import GOOD_FIT, LEAST_FIT, MOST_NAMED, counted, hertz, shorten
 from okid.errors import visible
 
 if TYPE_CHECKING:
     from modal.acceptance.check import LimitOutcome
     from modal.quality import DataQuality
-from collections.abc import Callable
-from dataclasses import dataclass
-
-from modal.verdict.judgement import DOUBTED, LEAST_PART, SYSTEM_FROM
 
 
 def modes_headline(result: Identification) -> str:
