@@ -141,6 +141,14 @@ class Channel:
         """A number with the channel's unit."""
         return f"{number:.4g} {self.unit}".rstrip()
 
+    def finding(
+        self, *, level: Level, what: str, sentence: str, spans: tuple[Span, ...] = (), share: float = float("nan")
+    ) -> Finding:
+        """What was found in this channel alone."""
+        where = where_found(self.name, spans, len(self.parts))
+        names = (self.name,)
+        return Finding(level=level, what=what, where=where, sentence=sentence, channels=names, spans=spans, share=share)
+
 
 def channels_of(records: Sequence[Record], scaling: ChannelScaling) -> Iterator[Channel]:
     """Inputs, then outputs, one after the other; a few neighbours are copied at a time: a mapped file stays there."""

@@ -71,13 +71,13 @@ def mended(records: Sequence[Record], *, driven: bool = False) -> Mended:
             told.setdefault("spikes", []).append(spiked)
         left_out = driven and channel.role == "output"
         limited = without_spikes(channel, [(i, int(k)) for i, own in enumerate(gone) for k in np.flatnonzero(own)])
-        clipped = clipping_findings(limited, len(kept), left_out=left_out)
+        clipped = clipping_findings(limited, left_out=left_out)
         if clipped and left_out:
             gone = [one | more for one, more in zip(gone, clipped_samples(limited), strict=True)]
         if channel.role == "output":
             for mask, own in zip(masks, gone, strict=True):
                 mask[:, channel.index] = own
-        more = [*clipped, *resolution_findings(channel, resolution, len(kept))]
+        more = [*clipped, *resolution_findings(channel, resolution)]
         more += [] if clipped else stuck_findings(channel, kept, resolution)
         for f in more:
             if f.level != "note":
@@ -197,7 +197,7 @@ def _spikes(
 ) -> tuple[str, list[BoolArray]]:
     """A sentence on the spikes of a channel, and where they are; nothing where they are not worth one."""
     found, largest = spikes_of(channel, resolution, sharp)
-    spiked = spike_findings(channel, resolution, sharp, len(records)) if found else []
+    spiked = spike_findings(channel, resolution, sharp) if found else []
     masks = [np.zeros(record.n_samples, dtype=np.bool_) for record in records]
     if all(finding.level == "note" for finding in spiked):
         return "", masks
@@ -214,13 +214,11 @@ def _spikes(
 
 def spoiled_channels(records: Record | Sequence[Record]) -> tuple[Finding, ...]:
     """What `modal.check_quality` finds of dead, clipped and spiked channels, without the price of spectra."""
-    several = as_records(records)
-    n = len(several)
     findings: list[Finding] = []
-    for channel, resolution, sharp in _looked(several):
+    for channel, resolution, sharp in _looked(as_records(records)):
         limited = without_spikes(channel, spikes_of(channel, resolution, sharp)[0])
-        findings += [*constant_findings(channel, n), *clipping_findings(limited, n)]
-        findings += spike_findings(channel, resolution, sharp, n)
+        findings += [*constant_findings(channel), *clipping_findings(limited)]
+        findings += spike_findings(channel, resolution, sharp)
     return tuple(sorted(findings, key=lambda finding: LEVELS.index(finding.level)))
 
 

@@ -30,7 +30,6 @@ from modal.preparation.channel import (
     Finding,
     named,
     spoken,
-    where_found,
 )
 from modal.preparation.drift import (
     CANDIDATES,
@@ -233,7 +232,7 @@ def mains_lines(channel: Channel) -> HumLines:
     return HumLines(mains=mains, frequencies=frequencies, prominence=prominence, rms=rms)
 
 
-def hum_findings(channel: Channel, lines: HumLines, inputs: Sequence[HumLines], n_records: int) -> list[Finding]:
+def hum_findings(channel: Channel, lines: HumLines, inputs: Sequence[HumLines]) -> list[Finding]:
     """Lines of an output that no input holds."""
     if channel.role == "input" or channel.std == 0.0:
         return []
@@ -249,15 +248,13 @@ def hum_findings(channel: Channel, lines: HumLines, inputs: Sequence[HumLines], 
         share = float(np.sqrt(np.sum(lines.rms[own] ** 2)) / channel.std)
         which = ", ".join(spoken(f) for f in lines.frequencies[own])
         found.append(
-            Finding(
+            channel.finding(
                 level="bad" if share >= MOSTLY else "doubtful" if share >= NOTABLE else "note",
                 what="mains hum",
-                where=where_found(channel.name, (), n_records),
                 sentence=f"output {named(channel.name)} holds {'sharp lines' if own.sum() > 1 else 'a sharp line'} of "
                 f"the {base:.0f} Hz mains ({which} Hz), {percent(share)} of its motion"
                 f"{', that no input holds' if inputs else ''}: hum of a ground loop or an unshielded cable, or a "
                 "machine at that speed; take no mode there for one of the structure.",
-                channels=(channel.name,),
                 share=share,
             )
         )
@@ -297,20 +294,18 @@ FEWEST_BLOCKS = 2
 """Ask for so many blocks with samples on either side of a change."""
 
 
-def offset_findings(channel: Channel, n_records: int) -> list[Finding]:
+def offset_findings(channel: Channel) -> list[Finding]:
     """A mean of many times the motion."""
     if channel.role == "input" or channel.std == 0.0 or abs(channel.mean) < LARGE_OFFSET * channel.std:
         return []
     ratio = abs(channel.mean) / channel.std
     return [
-        Finding(
+        channel.finding(
             level="note",
             what="offset",
-            where=where_found(channel.name, (), n_records),
             sentence=f"output {named(channel.name)} stands at {channel.value(channel.mean)}, {spoken(ratio)} times as "
             "far from zero as it moves: the mean is taken off before the fit, but most of the sensor's range serves "
             "the offset; couple it AC or zero it.",
-            channels=(channel.name,),
         )
     ]
 
@@ -344,7 +339,7 @@ def block_levels(parts: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
     return tuple(levels)
 
 
-def level_findings(channel: Channel, inputs_steady: Sequence[bool], n_records: int) -> list[Finding]:
+def level_findings(channel: Channel, inputs_steady: Sequence[bool]) -> list[Finding]:
     """An output whose level changes several times while every input's does not."""
     if channel.role == "input" or channel.std == 0.0 or not inputs_steady or not all(inputs_steady):
         return []
@@ -358,14 +353,12 @@ def level_findings(channel: Channel, inputs_steady: Sequence[bool], n_records: i
         ratio = max(before, after) / max(min(before, after), np.finfo(float).tiny)
         word, times = ("larger" if after > before else "smaller"), spoken(ratio) if ratio < 1e6 else "many"
         return [
-            Finding(
+            channel.finding(
                 level="doubtful",
                 what="level changes",
-                where=where_found(channel.name, (), n_records),
                 sentence=f"output {named(channel.name)} is {times} times {word} from about {spoken(time)} s after the "
                 "start, while the inputs keep their level: a sensor that came loose, a range that was switched, or a "
                 "structure that changed; look there and cut the record.",
-                channels=(channel.name,),
             )
         ]
     return []

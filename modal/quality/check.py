@@ -151,21 +151,20 @@ def _channel_findings(
     channel: Channel, records: Sequence[Record], known: _Inputs, *, resolution: float
 ) -> list[Finding]:
     """Of one channel by itself; what an input shows is kept for the outputs, which come after all inputs."""
-    n = len(records)
     lines = mains_lines(channel)
     found = [
-        *constant_findings(channel, n),
-        *missing_findings(channel, n),
+        *constant_findings(channel),
+        *missing_findings(channel),
         *stuck_findings(channel, records, resolution),
     ]
     limited = without_spikes(channel, spikes_of(channel, resolution, known.sharp)[0])
-    clipped = clipping_findings(limited, n)
+    clipped = clipping_findings(limited)
     if clipped:  # the runs at the limit are those
         found = [finding for finding in found if finding.what != "stuck"]
-    found += [*repeat_findings(channel, n), *clipped, *resolution_findings(channel, resolution, n)]
-    found += spike_findings(channel, resolution, known.sharp, n)
-    found += [*offset_findings(channel, n), *hum_findings(channel, lines, known.lines, n)]
-    found += level_findings(channel, known.steady, n)
+    found += [*repeat_findings(channel), *clipped, *resolution_findings(channel, resolution)]
+    found += spike_findings(channel, resolution, known.sharp)
+    found += [*offset_findings(channel), *hum_findings(channel, lines, known.lines)]
+    found += level_findings(channel, known.steady)
     if channel.role == "input":
         known.lines.append(lines)
         known.steady.append(is_steady(channel))
