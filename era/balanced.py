@@ -3,14 +3,10 @@
     H(0) = U S V',   A = S^(-1/2) U' H(1) V S^(-1/2),   B = S^(1/2) V' E_in,   C = E_out' U S^(1/2),   D = h[0]
 
 with E_in and E_out the first block column of the identity. The model of a lower order is a corner of the model of a
-higher order, so one decomposition (`era.balanced`) serves all orders.
+higher order, so one decomposition serves all orders.
 
 References:
     Juang, Pappa, Journal of Guidance, Control, and Dynamics 8(5), 1985, 620-627, doi 10.2514/3.20031.
-
-One decomposition of the scaled block Hankel matrix, and from it the balanced model of the highest order.
-
-    H(0) = U S V',   A = S^(-1/2) U' H(1) V S^(-1/2),   B = S^(1/2) V' E_in,   C = E_out' U S^(1/2)
 
 - H(1) is H(0) without its first block row, and one new block row at the end. So U' H(1) V needs no product with H(1):
   H(0) V = U S gives all of it but the last block row.
@@ -172,10 +168,6 @@ def _gain_is_realised(markov: MarkovParameters, realise_on: RealiseOn) -> bool:
 def scaled_channels(markov: MarkovParameters, realise_on: RealiseOn) -> FloatArray:
     """What the block Hankel matrix is made of: (n_lags + 1, n_outputs, n_channels), channels of comparable size.
 
-    Args:
-        markov: Markov parameters; without inputs, those of the gain are taken.
-        realise_on: see `decompose`.
-
     Raises:
         InvalidDataError: the gain is needed and there is none.
     """
@@ -290,9 +282,6 @@ def order_choice(decomposition: HankelDecomposition) -> GapChoice:
     Markov parameters of an observer of order p are a sum of p n_outputs exponentials whatever the data were: their
     singular values end there, at the largest gap of all. It says nothing of the system, so a tenfold gap before it
     counts instead; where there is none (an observer of the least order, or much noise) the end stands.
-
-    Args:
-        decomposition: from `decompose`.
     """
     found = decomposition
     return gap_choice(

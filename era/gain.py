@@ -5,13 +5,8 @@
 With A and C given, the gain is found that makes the one-step errors e smallest, log det sum e e', by Fisher
 scoring. It reaches what is asymptotically the best that any method can do, covariance W^-1 (x) R^-1 / N.
 
-Where the climb to the likeliest gain begins, how long it goes on, and when its end is of no use.
-
-Gains from noise covariances by the Riccati equation, and a stable gain for one that is not.
-
-One step of Fisher scoring on the gain and on the states that the records start from.
-
-With Abar = A - K C, R the covariance of the innovations e and s the backward run of R^-1 e,
+A step moves the gain and the states that the records start from. With Abar = A - K C, R the covariance of the
+innovations e and s the backward run of R^-1 e,
 
     W = sum Abar'^l C' R^-1 C Abar^l,   g = 1/N sum over k of s(k) e(k)',   dK = W^-1 g R^-1
 
@@ -58,10 +53,6 @@ class NoisePart:
 
 def left_over(model: Realisation, record: Record) -> tuple[NoisePart, FloatArray]:
     """What the free run leaves of a record.
-
-    Args:
-        model: its gain is not looked at.
-        record: of the model's channels and time step.
 
     Returns:
         The part, and (n_samples, n_outputs) what the free decay from its state leaves too.

@@ -28,35 +28,31 @@ import scipy
 from okid.arrays import FloatArray, whole_number
 from okid.errors import InsufficientDataError, NumericalError
 
-LARGEST_DENSE = 1 << 22
-"""Values of a block Hankel matrix that is still built (32 MiB)."""
 
-
-def block_hankel(markov: FloatArray, n_block_rows: int, n_block_columns: int, shift: int = 0) -> FloatArray:
-    """H(shift) as an array.
+def block_hankel(markov: FloatArray, n_block_rows: int, n_block_columns: int) -> FloatArray:
+    """H(0) as an array.
 
     Args:
         markov: (n_lags + 1, n_outputs, n_inputs), lag 0 first; lag 0 is not used.
         n_block_rows: number of block rows.
         n_block_columns: number of block columns.
-        shift: lags to start later than h[1].
 
     Returns:
         (n_block_rows * n_outputs, n_block_columns * n_inputs).
 
     Raises:
-        InsufficientDataError: fewer lags than n_block_rows + n_block_columns + shift - 1.
+        InsufficientDataError: fewer lags than n_block_rows + n_block_columns - 1.
 
     Example:
         >>> block_hankel(np.arange(6.0).reshape(6, 1, 1), 2, 3)
         array([[1., 2., 3.], [2., 3., 4.]])
     """
-    n_needed = n_block_rows + n_block_columns + shift - 1
+    n_needed = n_block_rows + n_block_columns - 1
     _check_lags(markov.shape[0] - 1, n_block_rows, n_block_columns, n_needed)
     _, n_outputs, n_inputs = markov.shape
     if n_inputs == 0:
         return np.empty((n_block_rows * n_outputs, 0))
-    lags = markov[1 + shift : 1 + n_needed].transpose(1, 0, 2).reshape(n_outputs, -1)
+    lags = markov[1 : 1 + n_needed].transpose(1, 0, 2).reshape(n_outputs, -1)
     windows = np.lib.stride_tricks.sliding_window_view(lags, n_block_columns * n_inputs, axis=1)[:, ::n_inputs]
     return windows.transpose(1, 0, 2).reshape(n_block_rows * n_outputs, n_block_columns * n_inputs)
 
@@ -208,7 +204,7 @@ def _dense_is_cheaper(n_block_rows: int, n_block_columns: int, n_outputs: int, n
     length = n_block_rows + n_block_columns
     transforms = 0.35 * (n_outputs + n_inputs) * length * np.log2(length)
     products = 2.0 * n_outputs * n_inputs * length / 2
-    return n_values <= LARGEST_DENSE and 2 * n_values / 30 <= 1.5 * (transforms + products)
+    return n_values <= 1 << 22 and 2 * n_values / 30 <= 1.5 * (transforms + products)  # 32 MiB
 
 
 @lru_cache(maxsize=64)
@@ -351,23 +347,8 @@ class LeadingTriplets:
     complete: bool
 
 
-def leading_triplets(
-    operator: BlockHankelOperator,
-    n_wanted: int,
-    *,
-    rng: np.random.Generator,
-    oversampling: int = 6,
-    n_power_steps: int = 2,
-) -> LeadingTriplets:
-    """The `n_wanted` leading singular triplets of H.
-
-    Args:
-        operator: H.
-        n_wanted: number of triplets.
-        rng: source of the sketch.
-        oversampling: columns of the sketch beyond `n_wanted`.
-        n_power_steps: products with H' H at most, when the sketch does not hold the whole row space; at least one is
-            done, more while the wanted vectors still turn.
+def leading_triplets(operator: BlockHankelOperator, n_wanted: int, *, rng: np.random.Generator) -> LeadingTriplets:
+    """The `n_wanted` leading singular triplets of H, from a random sketch of six columns more.
 
     Example:
         >>> h = 0.9 ** np.arange(40.0).reshape(40, 1, 1)
@@ -376,7 +357,7 @@ def leading_triplets(
         (True, 4.666827)
     """
     n_rows, n_columns = operator.shape
-    n_basis = min(n_wanted + oversampling, n_rows, n_columns)
+    n_basis = min(n_wanted + 6, n_rows, n_columns)
     heads = rng.integers(0, 2, size=(n_rows, n_basis), dtype=np.int8)
     reflectors, scalars = _reflectors(operator.transpose_times(2.0 * heads.astype(np.float64) - 1.0))
     sizes = np.abs(np.diagonal(reflectors))
@@ -388,7 +369,7 @@ def leading_triplets(
         left, values, turn = _tall_svd(operator.times(rows))
         error = np.minimum(1.0, missed * values[0] / np.maximum(values, np.finfo(float).tiny))
     else:
-        rows, left, values, turn, error = _power_steps(operator, rows, n_wanted, n_power_steps)
+        rows, left, values, turn, error = _power_steps(operator, rows, n_wanted)
     kept = slice(0, min(n_wanted, n_basis))
     return LeadingTriplets(
         left=np.ascontiguousarray(left[:, kept]),
@@ -400,20 +381,18 @@ def leading_triplets(
 
 
 def _power_steps(
-    operator: BlockHankelOperator, rows: FloatArray, n_wanted: int, n_steps: int
+    operator: BlockHankelOperator, rows: FloatArray, n_wanted: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Row basis, the decomposition of H times it, and the sines by which the left vectors turned in the last step."""
-    before = _orthonormal(operator.times(rows))
-    step = 1
+    before, step = _orthonormal(operator.times(rows)), 1
     while True:
         rows = _orthonormal(operator.transpose_times(before))
         left, values, turn = _tall_svd(operator.times(rows))
         outside = left - before @ (before.T @ left)
         sines = np.minimum(1.0, np.sqrt(np.square(outside).sum(axis=0)))
-        if step >= n_steps or sines[:n_wanted].max(initial=0.0) <= SETTLED:
+        if step == 2 or sines[:n_wanted].max(initial=0.0) <= SETTLED:
             return rows, left, values, turn, sines
-        before = left
-        step += 1
+        before, step = left, 2
 
 
 def _tall_svd(columns: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -449,8 +428,6 @@ FULL_UP_TO = 1.5e6
 """Rows x columns x smaller side of a block Hankel matrix that is always decomposed in full (1-2 ms)."""
 FIRST_RANK = 32
 """Triplets that are looked for first when nobody said how many are needed."""
-LARGEST_RANK = 256
-"""Triplets that are looked for at most when nobody said how many are needed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -534,7 +511,7 @@ def _randomised(
     wanted = min(FIRST_RANK if max_order is None else max_order, smaller)
     found = leading_triplets(operator, wanted, rng=rng)
     while max_order is None and not (found.complete or _shows_a_gap(found.singular_values)):
-        if 2 * wanted > min(LARGEST_RANK, smaller // 4):
+        if 2 * wanted > min(256, smaller // 4):  # triplets at most when nobody said how many
             break
         wanted *= 2
         found = leading_triplets(operator, wanted, rng=rng)

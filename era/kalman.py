@@ -6,8 +6,6 @@ K is the gain of the one-step PREDICTOR. A filter that first corrects and then p
 K_filter = A^(-1) K, with the same innovations. Conversely, the Riccati equation with Q = K R K', S = K R returns K
 wherever A - K C is stable, and the stable gain with the same innovation spectrum where it is not.
 
-Are the innovations of a model on a record white, and free of the inputs? Then its gain predicts all that can be.
-
 Prediction k steps ahead with intervals: what the filter knows, run on by the model, and how far it can be off.
 
     y_hat(j | j-k) = y_hat(j | j-1) - sum over i = 1 ... k-1 of C A^(i-1) c(j-i),   c(i): what sample i corrects, K e(i)
@@ -16,8 +14,6 @@ Prediction k steps ahead with intervals: what the filter knows, run on by the mo
 plus C A^(k-1) P A^(k-1)' C' where the state at the origin is not known exactly: after missing samples, and at the start
 of the record if so said. The intervals hold for Gaussian innovations of covariance R; that A, B, C, D, K and R were
 themselves estimated is not in them.
-
-The steady-state filter over complete samples, the time-varying one where samples are missing.
 
 The innovation form is a state-space model whose noises belong together: Q = K R K', R, S = K R. Its Kalman filter with
 state covariance P and the rows a that are there,
@@ -238,7 +234,7 @@ class Filtered:
     spreads: FloatArray
 
 
-def filtered(
+def filter_run(
     model: Realisation,
     gain: FloatArray,
     noise: FloatArray,
@@ -422,7 +418,7 @@ def forecast(
     inputs, missing = filled_inputs(record)
     reach = _powers(model, min(steps, record.n_samples))
     with np.errstate(over="ignore", invalid="ignore"):
-        run = filtered(
+        run = filter_run(
             model,
             model.K,
             noise,

@@ -331,10 +331,6 @@ def checked_state(order: int, initial_state: FloatArray | None) -> FloatArray:
     return state
 
 
-SHORTEST_BLOCK = 200
-"""Complete rows in a row from which blocks of products are faster than a step at a time."""
-
-
 def innovation_run(
     A: FloatArray, C: FloatArray, K: FloatArray, values: FloatArray, *, state: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -400,7 +396,7 @@ def one_step(
     done = 0
     with np.errstate(over="ignore", invalid="ignore"):
         for start, stop in [*runs_of(np.asarray(~np.isnan(outputs).any(axis=1))), (outputs.shape[0],) * 2]:
-            if start < stop < start + min(SHORTEST_BLOCK, outputs.shape[0]):
+            if start < stop < start + min(200, outputs.shape[0]):  # below, a step at a time is faster
                 continue
             rows = slice(done, start)
             predicted[rows], state = _sample_by_sample((A, B, C, D, K), inputs[rows], outputs[rows], state)

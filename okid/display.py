@@ -12,15 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 
-class Lines:
+class DisplayLimits:
     """How an object shows itself."""
 
     WIDTH: Final = 110
     """Show an object in one line where it is no longer than this."""
     MOST_LINES: Final = 18
     """Show so many fields at most; what is left out is counted in one more line."""
-    MOST_NUMBERS: Final = 6
-    """Write an array of more numbers as its type and shape."""
 
 
 class Displayed:
@@ -57,7 +55,7 @@ class Displayed:
     def __repr__(self) -> str:
         rows, title = self.display_rows(), self.display_title()
         line = f"{title}({', '.join(f'{key}={value}' for key, value in rows)})"
-        if len(line) <= Lines.WIDTH and "\n" not in line and title == type(self).__name__:
+        if len(line) <= DisplayLimits.WIDTH and "\n" not in line and title == type(self).__name__:
             return line
         return "\n".join([f"{title}:", *_lines(rows)])
 
@@ -100,7 +98,7 @@ def first_names(names: Sequence[str]) -> str:
         ("['tip', 'root']", "['floor_0', 'floor_1', 'floor_2', 'floor_3', ... 40 in all]")
     """
     text = str(list(names))
-    if len(text) <= 4 * Lines.WIDTH:
+    if len(text) <= 4 * DisplayLimits.WIDTH:
         return text
     return f"[{', '.join(map(in_short, names[:4]))}, ... {len(names)} in all]"
 
@@ -112,17 +110,17 @@ def in_short(value: Any) -> str:
     if isinstance(value, float | complex | np.inexact):
         return f"{value:.6g}"
     if isinstance(value, str):
-        return repr(value if len(value) <= Lines.WIDTH else f"{value[: Lines.WIDTH - 3]}...")
+        return repr(value if len(value) <= DisplayLimits.WIDTH else f"{value[: DisplayLimits.WIDTH - 3]}...")
     if isinstance(value, tuple | list):
         return _several(value)
     if isinstance(value, Mapping):
         return f"{len(value)} of {', '.join(map(str, list(value)[:4]))}{', ...' if len(value) > 4 else ''}"
     text = repr(value)
-    return text if "\n" not in text and len(text) <= Lines.WIDTH else f"{type(value).__name__}(...)"
+    return text if "\n" not in text and len(text) <= DisplayLimits.WIDTH else f"{type(value).__name__}(...)"
 
 
 def _array(value: npt.NDArray[Any]) -> str:
-    if value.size > Lines.MOST_NUMBERS or value.dtype == object:
+    if value.size > 6 or value.dtype == object:
         return f"{value.dtype} {value.shape}"
     return " ".join(np.array2string(value, precision=4, separator=", ").split())
 
@@ -130,19 +128,19 @@ def _array(value: npt.NDArray[Any]) -> str:
 def _several(values: tuple[Any, ...] | list[Any]) -> str:
     if all(isinstance(value, str | int | float | complex | np.number | None) for value in values):
         text = ", ".join(in_short(value) for value in values)
-        if len(text) <= Lines.WIDTH:
+        if len(text) <= DisplayLimits.WIDTH:
             return f"({text})"
     kinds = sorted({type(value).__name__ for value in values})
     return f"{len(values)} {' and '.join(kinds)}" if len(kinds) <= 2 else f"{len(values)} values"
 
 
 def _cut(rows: list[tuple[str, str]]) -> list[tuple[str, str]]:
-    if len(rows) <= Lines.MOST_LINES + 1:
+    if len(rows) <= DisplayLimits.MOST_LINES + 1:
         return rows
-    rest = ", ".join(name for name, _ in rows[Lines.MOST_LINES :])
+    rest = ", ".join(name for name, _ in rows[DisplayLimits.MOST_LINES :])
     return [
-        *rows[: Lines.MOST_LINES],
-        ("...", rest if len(rest) <= Lines.WIDTH else f"{len(rows) - Lines.MOST_LINES} more"),
+        *rows[: DisplayLimits.MOST_LINES],
+        ("...", rest if len(rest) <= DisplayLimits.WIDTH else f"{len(rows) - DisplayLimits.MOST_LINES} more"),
     ]
 
 

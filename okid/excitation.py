@@ -21,7 +21,6 @@ _BRIDGED = 0.01
 """Of the whole band: a message takes bands that are closer than this for one."""
 _RANGE = 1e-6
 """60 dB: a frequency counts as excited within this factor of the largest spectral density."""
-_ROW_LIMIT = 2_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
@@ -159,7 +158,8 @@ def _density(records: Sequence[Record], channel: int, scaling: ChannelScaling) -
     window = np.hanning(length + 2)[1:-1]
     density = np.zeros(length // 2 + 1)
     for record in records:
-        values = (record.inputs[:_ROW_LIMIT, channel] - scaling.input_mean[channel]) / scaling.input_scale[channel]
+        # so many rows tell a spectrum
+        values = (record.inputs[:2_000_000, channel] - scaling.input_mean[channel]) / scaling.input_scale[channel]
         known = values[~np.isnan(values)]
         rest = np.median(known) if known.size else np.nan
         if np.count_nonzero(values == rest) > values.size / 2:

@@ -212,13 +212,7 @@ def window_samples(window: str, n_samples: int, time_constant: float | None, dt:
 
 
 def window_autocorrelation(response: FrequencyResponse, n_samples: int, *, window: ResponseWindow) -> FloatArray:
-    """(n_samples,) what a block's window leaves of the pulse response at each lag: r_w, or its decay.
-
-    Args:
-        response: for the time constant of its window and its spacing.
-        n_samples: of a block.
-        window: of the block.
-    """
+    """(n_samples,) what a block's window leaves of the pulse response at each lag: r_w, or its decay."""
     if window == "exponential":
         dt = 1.0 / (n_samples * line_spacing(response))
         return window_samples(window, n_samples, response.window_time_constant, dt)

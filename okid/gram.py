@@ -32,9 +32,6 @@ from okid.record import Record
 from okid.rows import Samples, complete_rows, runs_of, scaled_block, usable_rows
 from okid.scaling import CACHE_VALUES, ChannelScaling
 
-_KEPT_VALUES = 3 << 20
-"""Values of the work space at least: 24 MiB, below the 32 MiB from which glibc never keeps memory."""
-
 
 class LagCorrelation:
     """A running sum of lag correlations, and the work space that is used again for every chunk.
@@ -122,15 +119,11 @@ def _carve(*shapes: tuple[int, ...]) -> list[FloatArray]:
     the whole calculation. Pages that are never touched cost nothing.
     """
     sizes = [int(np.prod(shape)) + 7 & ~7 for shape in shapes]
-    store = np.empty(max(sum(sizes), _KEPT_VALUES))
+    store = np.empty(max(sum(sizes), 3 << 20))  # 24 MiB: glibc keeps no more from call to call
     edges = np.cumsum([0, *sizes]).tolist()
     return [
         store[edge : edge + int(np.prod(shape))].reshape(shape) for edge, shape in zip(edges[:-1], shapes, strict=True)
     ]
-
-
-_EDGE_VALUES = 1 << 20
-"""Edge samples that are kept before they are folded into the matrix."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -224,8 +217,6 @@ def _summed(
 
 SENT_VALUES = 1 << 22
 """Hand so many values to a process at once: 32 MiB, a tenth of a second of work."""
-AHEAD = 16
-"""Hand out so many chunks before the first of them has come back: at most half a gigabyte of values on the way."""
 
 
 def chunked_gram(records: Sequence[Record], order: int, *, scaling: ChannelScaling, executor: Executor) -> LagGram:
@@ -254,7 +245,8 @@ def chunked_gram(records: Sequence[Record], order: int, *, scaling: ChannelScali
     total: LagGram | None = None
     try:
         while True:
-            while len(waiting) < AHEAD and (chunk := next(chunks, None)) is not None:
+            # half a gigabyte of values on the way
+            while len(waiting) < 16 and (chunk := next(chunks, None)) is not None:
                 waiting.append(executor.submit(_gram_of_chunk, chunk, order, scaling))
                 n_chunks += 1
             if not waiting:
@@ -337,13 +329,6 @@ def turn_gram(records: Sequence[Record], order: int, *, scaling: ChannelScaling,
     A record whose samples hold `n_turns` samples of ours, z(k), z(k-1), ..., and whose rows are these k, has the same
     regressors in the same order, and its rows are one run. Up to `n_turns` - 1 rows at a record's start are left out.
 
-    Args:
-        records: of one system.
-        order: largest lag.
-        scaling: mean and size of every channel.
-        n_turns: rows take turns among so many.
-        turn: of the rows that count, 0 ... n_turns - 1.
-
     Example:
         >>> from okid.scaling import channel_scaling
         >>> record = Record(np.sin(np.arange(50.0)), np.cos(np.arange(50.0)), 0.1)
@@ -376,6 +361,10 @@ def turn_gram(records: Sequence[Record], order: int, *, scaling: ChannelScaling,
         n_inputs=records[0].n_inputs,
         n_outputs=records[0].n_outputs,
     )
+
+
+_EDGE_VALUES = 1 << 20
+"""Edge samples that are kept before they are folded into the matrix."""
 
 
 class _Edges:

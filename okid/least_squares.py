@@ -9,17 +9,6 @@ The normal equations square the condition number. `solve` therefore compares wha
 what the noise does to them, and where rounding is not far below, goes to the rows themselves (orthogonal
 factorisation), or for records too long for that to a truncated eigendecomposition followed by one refinement with
 residuals from the rows.
-
-The normal equations of the observer regression, cut out of a Gram matrix, and their triangular factor.
-
-    (V V' + penalty) Theta = V Y',   penalty = n_rows ridge diag(0; 1 ...; (1 + lag) ...)
-
-with v(k) = [1; u(k); u(k-1); y(k-1); ...; u(k-p); y(k-p)] in scaled channels. The regression solves them, the
-covariance of its solution needs the same matrix again.
-
-Least squares from the rows themselves: slower than by the Gram matrix, with the condition number, not its square.
-
-Coefficients of the observer equation in scaled channels, and their way into the units of the record.
 """
 
 from collections.abc import Sequence

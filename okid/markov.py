@@ -3,7 +3,7 @@
 `system[0] = D`, `system[k] = C A^(k-1) B`; nothing is multiplied or divided by dt. With an observer gain,
 `gain[0] = I`, `gain[k] = C A^(k-1) K`.
 
-From the observer to the Markov parameters of the system and of its gain: the second half of OKID.
+From the observer, the second half of OKID:
 
     h_0 = D,  h_k = alpha_k + sum_{i=1..min(k,p)} beta_i h_{k-i}      system, C A^(k-1) B
     g_0 = I,  g_k =           sum_{i=1..min(k,p)} beta_i g_{k-i}      gain,   C A^(k-1) K
@@ -11,10 +11,8 @@ From the observer to the Markov parameters of the system and of its gain: the se
 with alpha_k = 0 beyond the observer order p. The last term of each sum, beta_k D or beta_k I, belongs to it: without it
 the parameters are wrong by about half on noise-free data. The number of lags is independent of the observer order.
 
-The output recursion of an observer, y(k) = x(k) + sum_{i=1..p} beta_i y(k-i), solved in blocks of steps.
-
-One step at a time costs an interpreter round a step. A block of b steps is one product with the constant Toeplitz strip
-that carries the past and one triangular solve with the constant unit lower triangle that links the steps of the block.
+The recursion is solved in blocks of steps: one product with the constant Toeplitz strip that carries the past and one
+triangular solve with the constant unit lower triangle that links the steps of the block.
 """
 
 from dataclasses import KW_ONLY, dataclass
@@ -107,10 +105,6 @@ def _scale(values: FloatArray | None, length: int, name: str) -> FloatArray:
     return scale
 
 
-_BLOCK_UNKNOWNS = 64
-"""Rows of one block: few enough that the triangle stays in cache, enough that the interpreter does not count."""
-
-
 def solve_recursion(output_coefficients: FloatArray, forcing: FloatArray) -> FloatArray:
     """Run the recursion forward from rest for several columns at once.
 
@@ -129,7 +123,7 @@ def solve_recursion(output_coefficients: FloatArray, forcing: FloatArray) -> Flo
     n_steps, _, n_columns = forcing.shape
     values = np.empty((order + n_steps, n_outputs, n_columns))
     values[:order] = 0.0
-    steps = max(1, min(n_steps, _BLOCK_UNKNOWNS // n_outputs))
+    steps = max(1, min(n_steps, 64 // n_outputs))  # rows of a block: the triangle stays in cache
     strip, triangle = _strip_and_triangle(output_coefficients, steps)
     flat = values.reshape((order + n_steps) * n_outputs, n_columns)
     flat_forcing = forcing.reshape(n_steps * n_outputs, n_columns)

@@ -149,13 +149,7 @@ def fit_observer(
 
 
 def observer_fit(coefficients: ObserverCoefficients, scaling: ChannelScaling, dt: float) -> ObserverFit:
-    """The observer in the units of the record.
-
-    Args:
-        coefficients: of scaled channels.
-        scaling: by which they were scaled.
-        dt: time step [s].
-    """
+    """The observer in the units of the record."""
     into, size = scaling.input_scale, scaling.output_scale[:, np.newaxis]
     feedthrough = coefficients.feedthrough * (size / into)
     input_coefficients = coefficients.input_coefficients * (size / into)

@@ -52,12 +52,7 @@ class ResidualCheck(Displayed):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CentredErrors:
-    """Errors less their mean, zero in rows that miss one.
-
-    Attributes:
-        records: (n_samples, n_outputs) a record.
-        n_rows: complete rows.
-    """
+    """Errors less their mean, zero in rows that miss one."""
 
     records: tuple[FloatArray, ...]
     n_rows: int
@@ -237,16 +232,8 @@ def _closed(array: FloatArray) -> FloatArray:
     return array
 
 
-_PREDICTOR_VALUES = 1_000_000
-"""Predict so many rows at once that the matrix of their coefficients stays below this, in cache."""
-
-
 def one_step_residuals(observer: ObserverFit, record: Record) -> FloatArray:
     """e(k) = y(k) - D u(k) - sum_i [alpha_i u(k-i) + beta_i y(k-i)] - offset, in output units.
-
-    Args:
-        observer: fitted to this record or another of the same system.
-        record: with the observer's channels.
 
     Returns:
         (n_samples, n_outputs); NaN where a sample of the row or of the `order` before it is missing, so in the first
@@ -269,7 +256,8 @@ def one_step_residuals(observer: ObserverFit, record: Record) -> FloatArray:
             f"and {have[1]}; select them with record.select."
         )
     order, n_channels = observer.order, observer.n_inputs + observer.n_outputs
-    length = max(1, min(order // 2, _PREDICTOR_VALUES // (2 * order * n_channels * observer.n_outputs)))
+    # the matrix of their coefficients stays in cache
+    length = max(1, min(order // 2, 1_000_000 // (2 * order * n_channels * observer.n_outputs)))
     predictor = _block_predictor(observer, length)
     residual = np.full((record.n_samples, record.n_outputs), np.nan)
     for rows in row_chunks(record.n_samples, n_channels):

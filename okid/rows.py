@@ -22,6 +22,9 @@ from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 from okid.scaling import ChannelScaling
 
+N_FOLDS = 3
+"""How many folds a choice by held-out error is made over."""
+
 
 def as_records(records: Record | Sequence[Record]) -> tuple[Record, ...]:
     """One record or several of one system, checked to have the same channels, units and time step.
@@ -357,17 +360,10 @@ def regressor_chunks(
                 yield chunk
 
 
-def whole_record_folds(
-    records: Sequence[Record], *, n_folds: int = 3, lead: float = 0.1
-) -> tuple[tuple[BoolArray, ...], ...]:
+def whole_record_folds(records: Sequence[Record]) -> tuple[tuple[BoolArray, ...], ...]:
     """Masks of the held-out rows where the records can stand for each other: each fold holds out whole records.
 
-    The first share `lead` of every record trains, so that its initial state is known when it is held out.
-
-    Args:
-        records: of one system, at least `n_folds` of them.
-        n_folds: records go to the folds in turn.
-        lead: share of each record.
+    The first tenth of every record trains, so that its initial state is known when it is held out.
 
     Example:
         >>> record = Record([], np.arange(40.0), 0.1)
@@ -376,19 +372,19 @@ def whole_record_folds(
         [[36, 0, 0], [0, 36, 0], [0, 0, 36]]
     """
     folds = []
-    for i in range(n_folds):
+    for i in range(N_FOLDS):
         fold = []
         for r, record in enumerate(records):
             rows = np.zeros(record.n_samples, dtype=np.bool_)
-            if r % n_folds == i:
-                rows[max(1, round(lead * record.n_samples)) :] = True
+            if r % N_FOLDS == i:
+                rows[max(1, round(0.1 * record.n_samples)) :] = True
             fold.append(rows)
         folds.append(tuple(fold))
     return tuple(folds)
 
 
 def interleaved_folds(
-    records: Sequence[Record], *, n_folds: int = 3, n_blocks: int = 10, min_block: int = 10
+    records: Sequence[Record], *, n_blocks: int = 10, min_block: int = 10
 ) -> tuple[tuple[BoolArray, ...], ...]:
     """Masks of the held-out rows: [fold][record] -> (n_samples,) bool.
 
@@ -400,28 +396,21 @@ def interleaved_folds(
 
     Args:
         records: of one system.
-        n_folds: at least 2.
-        n_blocks: blocks a record, above `n_folds`.
+        n_blocks: blocks a record.
         min_block: fewest samples of a block.
 
     Raises:
-        InvalidDataError: fewer than two folds, or no more blocks than folds.
         InsufficientDataError: the records are too short to give every fold a block.
 
     Example:
         >>> record = Record([], np.arange(40.0), 0.1)
-        >>> for fold in interleaved_folds([record], n_folds=3, n_blocks=4):
+        >>> for fold in interleaved_folds([record], n_blocks=4):
         ...     print(np.flatnonzero(fold[0])[[0, -1]])
         [10 19]
         [20 29]
         [30 39]
     """
-    if n_folds < 2 or n_blocks <= n_folds or min_block < 1:
-        raise InvalidDataError(
-            f"folds need n_folds >= 2, n_blocks > n_folds and min_block >= 1, but are {n_folds}, {n_blocks}, "
-            f"{min_block}."
-        )
-    masks = [[np.zeros(record.n_samples, dtype=np.bool_) for record in records] for _ in range(n_folds)]
+    masks = [[np.zeros(record.n_samples, dtype=np.bool_) for record in records] for _ in range(N_FOLDS)]
     turn, first_single = 0, True
     for number, record in enumerate(records):
         own_blocks = min(n_blocks, record.n_samples // min_block)
@@ -432,12 +421,12 @@ def interleaved_folds(
             edges = np.linspace(0, record.n_samples, own_blocks + 1).round().astype(int).tolist()
             blocks = list(itertools.pairwise(edges[1:]))
         for start, stop in blocks:
-            masks[turn % n_folds][number][start:stop] = True
+            masks[turn % N_FOLDS][number][start:stop] = True
             turn += 1
-    if turn < n_folds:
+    if turn < N_FOLDS:
         total = sum(record.n_samples for record in records)
         raise InsufficientDataError(
-            f"{n_folds} folds need at least {(n_folds + 1) * min_block} samples in one record; there are {total} in "
+            f"{N_FOLDS} folds need at least {(N_FOLDS + 1) * min_block} samples in one record; there are {total} in "
             f"{len(records)} record{'s' * (len(records) != 1)}. Use a longer record, a smaller delay or less "
             "decimation; okid.fit_observer takes an order and a ridge without folds."
         )

@@ -63,9 +63,6 @@ def channel_scaling(records: Sequence[Record]) -> ChannelScaling:
     Summed in chunks (a mapped file stays on disk) about a first sample, mean and sum of squares of each chunk apart and
     then merged, so that a mean of 1e6 standard deviations or a drift costs no accuracy.
 
-    Args:
-        records: of one system.
-
     Raises:
         InvalidDataError: values too large for their standard deviation to be a number.
 

@@ -8,7 +8,6 @@ doubtful may or may not be a mode. And where nothing was driven, or nothing coul
 Only vibration modes count: an overdamped pole has no frequency to lie in a band. Noise poles do not exist here; a
 doubtful one may.
 
-
 References:
     Kleene, Introduction to Metamathematics, North-Holland, 1952, section 64 (strong three-valued logic).
     JCGM 106:2012, Evaluation of measurement data - The role of measurement uncertainty in conformity assessment, 8.3
@@ -98,14 +97,7 @@ def all_met(outcomes: tuple[LimitOutcome, ...]) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Candidate:
-    """A pole that may be a mode, with what is asked of it.
-
-    Attributes:
-        mode: itself.
-        exists: whether it is a mode of the system.
-        in_band: whether its frequency lies in the band.
-        in_range: whether its damping ratio lies in the range.
-    """
+    """A pole that may be a mode, with what is asked of it."""
 
     mode: Mode
     exists: Answer
@@ -426,12 +418,7 @@ def range_text(limits: Range) -> str:
 
 
 def blind_part(result: Identification, band: Range) -> str:
-    """Why a mode in the band could have been missed; "" where every part of it was seen.
-
-    Args:
-        result: of `modal.identify`.
-        band: [Hz].
-    """
+    """Why a mode in the band could have been missed; "" where every part of it was seen."""
     nyquist = 0.5 / result.realisation.dt
     if band[1] > nyquist:
         return f"the band reaches above {nyquist:.4g} Hz, half the sampling frequency of the identified record"

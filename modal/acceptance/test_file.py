@@ -38,16 +38,13 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import Any, Final, Literal
 
 from modal.geometry.file import MOST_TEXT, geometry_of_table, read_geometry
-from modal.geometry.sensors import quoted
+from modal.geometry.sensors import Geometry, quoted
 from modal.wording.text import shorten
 from okid.display import Displayed
 from okid.errors import InvalidDataError, UnreadableFileError, visible
-
-if TYPE_CHECKING:
-    from modal.geometry.sensors import Geometry
 
 Range = tuple[float, float]
 """Lowest and highest value, both allowed."""
@@ -70,8 +67,6 @@ class FileLimits:
 
     LONGEST_NAME: Final = 200
     """Refuse the name of a limit, a channel or a sensor with more letters: it stands in a table."""
-    LONGEST_TEXT: Final = 2000
-    """Refuse a longer text: a report is asked to show it."""
     MOST_LIMITS: Final = 1000
     """Refuse a file with more limits: each is a row of the report."""
 
@@ -145,7 +140,7 @@ class TomlTable:
         """Whether the table has the key."""
         return key in self.values
 
-    def text(self, key: str, *, longest: int = FileLimits.LONGEST_TEXT) -> str:
+    def text(self, key: str, *, longest: int = 2000) -> str:
         """A text, "" where there is none; a serial number may be written as a number."""
         value = self.values.get(key, "")
         if isinstance(value, bool) or not isinstance(value, str | int | float):
@@ -251,9 +246,6 @@ class TomlTable:
 def limits_of(table: TomlTable) -> tuple[AcceptanceLimit, ...]:
     """The limits of a test file, in its order.
 
-    Args:
-        table: the whole file.
-
     Raises:
         InvalidDataError: a kind or key that is not known, a value that is missing or none, or more than 1000 of them.
 
@@ -351,7 +343,7 @@ class Specification(Displayed):
     date: dt.date | None = None
     notes: str = ""
     sensors: tuple[SensorNote, ...] = ()
-    geometry: "Geometry | None" = None
+    geometry: Geometry | None = None
     limits: tuple[AcceptanceLimit, ...] = ()
 
 
@@ -422,7 +414,7 @@ def _sensors(table: TomlTable) -> tuple[SensorNote, ...]:
     return tuple(notes)
 
 
-def _geometry(table: TomlTable, path: Path) -> "Geometry | None":
+def _geometry(table: TomlTable, path: Path) -> Geometry | None:
     if not table.has("geometry"):
         return None
 

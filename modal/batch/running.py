@@ -37,7 +37,7 @@ from modal.batch.task import (
     units_of,
     write_failure,
 )
-from modal.recording.records import save_batch_recording
+from modal.recording.stream import save_batch_recording
 from modal.report.folder import refuse_names, sweep
 from okid.arrays import listener, whole_number
 from okid.errors import ExecutorError, IdentificationError, InvalidDataError
@@ -63,9 +63,6 @@ class _Task:
 
 class Workers(Executor):
     """Processes that are started again when they die.
-
-    Args:
-        n_workers: how many.
 
     Example:
         >>> with Workers(1) as workers:
@@ -241,10 +238,6 @@ def _leave_with_parent() -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
 
-IN_FLIGHT = 1000
-"""Hand so many tasks to an executor at once: enough for hundreds of workers, and little to remember."""
-
-
 def identify_batch(
     sources: Sources,
     folder: str | Path,
@@ -349,7 +342,7 @@ def _outcomes(units: Sequence[Unit], settings: Settings, records: Path, executor
     done = 0
     try:
         while left or running:
-            while left and len(running) < IN_FLIGHT:
+            while left and len(running) < 1000:  # enough for hundreds of workers
                 future = executor.submit(run_unit, left[0], settings, str(records))
                 running[future] = left.popleft()
                 future.add_done_callback(finished.put)

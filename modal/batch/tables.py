@@ -8,7 +8,6 @@ Beside them stands one page: what to look at first, frequencies against time, re
 import contextlib
 import json
 import os
-import secrets
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -28,6 +27,7 @@ from modal.sections.provenance import installed_version
 from modal.wording.text import listed, shorten
 from okid.display import Displayed
 from okid.errors import InvalidDataError, UnreadableFileError, visible
+from okid.readers.guard import complete_file
 
 MODE_TABLE, RECORD_TABLE, MODE_CSV = "modes.parquet", "records.parquet", "modes.csv"
 PLACES = "records"
@@ -160,11 +160,6 @@ def _step(one: Outcome) -> str:
 def write_tables(outcomes: Sequence[Outcome], places: Sequence[Path], folder: Path) -> None:
     """Write both tables, and the modes without their shapes as CSV; each appears when it is complete.
 
-    Args:
-        outcomes: by name of the record.
-        places: folder of each.
-        folder: of the batch.
-
     Raises:
         InvalidDataError: the folder cannot be written.
         UnreadableFileError: a result that is damaged or gone.
@@ -260,17 +255,14 @@ def part_file(target: Path) -> Iterator[Path]:
     Raises:
         InvalidDataError: the folder cannot be written.
     """
-    part = target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
     try:
-        yield part
-        part.replace(target)
+        with complete_file(target) as part:
+            yield part
     except OSError as error:
         raise InvalidDataError(
             f"{shorten(visible(str(target)), 200)!r} cannot be written ({error.strerror or error}); the results of all "
             "records are kept, so make room and give the same command again."
         ) from error
-    finally:
-        part.unlink(missing_ok=True)
 
 
 PAGE = "batch.html"
@@ -322,11 +314,6 @@ def _caption(along: str) -> str:
 
 def write_page(outcomes: Sequence[Outcome], modes: Any, folder: Path) -> Path:
     """Write batch.html: one page that needs nothing but itself.
-
-    Args:
-        outcomes: by name of the record.
-        modes: table of all modes.
-        folder: of the batch.
 
     Raises:
         InvalidDataError: the folder cannot be written.

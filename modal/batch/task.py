@@ -39,17 +39,7 @@ Sources = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settings:
-    """How every record of a batch is read and identified; part of the name of each result.
-
-    Attributes:
-        inputs: names of the inputs, as in `okid.read_record`.
-        outputs: names of the outputs.
-        dt: time step [s], where the files have none.
-        input_hold: what the inputs did between samples.
-        observer_order: as in `modal.identify`.
-        ridge: likewise.
-        order: likewise.
-    """
+    """How every record of a batch is read and identified; part of the name of each result."""
 
     inputs: tuple[str, ...] | None = None
     outputs: tuple[str, ...] | None = None
@@ -197,10 +187,6 @@ def _shown(path: object) -> str:
 
 
 RESULT, MODES, OUTCOME = "result.npz", "modes.csv", "outcome.json"
-LONGEST_NAME = 60
-"""Shorten the name of a record in that of its folder to so many letters."""
-LONGEST_MESSAGE = 1000
-"""Shorten a sentence, which may quote a stranger's file, to so many letters."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -243,7 +229,7 @@ class Outcome:
 def folder_of(unit: Unit, folder: Path) -> Path:
     """The folder of a record: its name to read, its key to be exact."""
     plain = "".join(letter if letter.isalnum() or letter in "._-" else "_" for letter in unit.record)
-    return folder / f"{plain[:LONGEST_NAME].lstrip('.') or 'record'}-{unit.key[:16]}"
+    return folder / f"{plain[:60].lstrip('.') or 'record'}-{unit.key[:16]}"
 
 
 def kept_outcome(place: Path) -> Outcome | None:
@@ -260,11 +246,6 @@ def kept_outcome(place: Path) -> Outcome | None:
 
 def run_unit(unit: Unit, settings: Settings, folder: str) -> Outcome:
     """Identify a record and keep its result; the result of an earlier try is taken as it is.
-
-    Args:
-        unit: what to identify.
-        settings: how.
-        folder: for the folders of all records.
 
     Raises:
         InvalidDataError: the folder cannot be written.
@@ -357,4 +338,4 @@ def _channels(names: tuple[str, ...], units: tuple[str, ...]) -> tuple[str, ...]
 
 
 def _said(error: object) -> str:
-    return shorten(visible(str(error)), LONGEST_MESSAGE)
+    return shorten(visible(str(error)), 1000)  # it may quote a stranger's file

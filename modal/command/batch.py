@@ -36,8 +36,6 @@ EXAMPLES = examples(
 )
 LISTED = 10
 """List so many records that failed or differ; the page has more."""
-CONNECT_WITHIN = 10.0
-"""Wait so many seconds for a scheduler, a few round trips of the slowest network."""
 
 
 def batch(
@@ -105,7 +103,7 @@ def _executor(workers: int | None, scheduler: str | None) -> Iterator[Executor]:
             "'okid-modal[dask]', or use --workers."
         ) from error
     try:
-        client = Client(scheduler, timeout=CONNECT_WITHIN)
+        client = Client(scheduler, timeout=10.0)  # a few round trips of the slowest network
     except (OSError, ValueError) as error:  # no answer, or no address
         said = shorten(" ".join(str(error).split()), 200)
         raise ExecutorError(

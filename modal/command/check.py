@@ -1,6 +1,5 @@
 """`modal-report check`: the quality of the data, without an identification; the worst findings come first."""
 
-import contextlib
 import json
 import math
 from collections.abc import Sequence
@@ -15,12 +14,13 @@ from rich.text import Text
 
 from modal.command.options import Dt, Hold, Inputs, Outputs, Records, Traceback, examples, faults, name_list
 from modal.command.run import FileSource, own_warnings, refuse_sources, sizes
-from modal.command.terminal import Screen, listing, plain, progress_bar, say_beforehand
+from modal.command.terminal import Screen, listing, number_text, plain, progress_bar, say_beforehand
 from modal.preparation.channel import LEVELS, Finding
 from modal.quality.check import check_quality, expected_check
 from modal.quality.findings import ChannelQuality, DataQuality
 from modal.wording.text import shorten, whole_percent
 from okid.errors import InvalidDataError
+from okid.readers.guard import complete_file
 from okid.record import Record
 
 _COLOURS = {"bad": "red", "doubtful": "yellow", "note": "bright_black", "good": "green"}
@@ -30,10 +30,6 @@ _HEADINGS = {"bad": "Bad", "doubtful": "Doubtful", "note": "Good to know"}
 class TableSize:
     """How much of a check a terminal shows."""
 
-    LONGEST_NAME: Final = 28
-    """Shorten the name of a channel to so many letters in the table."""
-    WIDE: Final = 100
-    """Show mean and extremes of each channel where a line has so many letters."""
     LEAST_FOUND: Final = 18
     """Keep so many letters for a channel and for what was found in it, so that both fit into 80."""
     MOST_CHANNELS: Final = 40
@@ -43,14 +39,7 @@ class TableSize:
 def show_quality(
     console: Console, quality: DataQuality, records: Sequence[Record], *, remarks: Sequence[str] = ()
 ) -> None:
-    """Verdict, table of the channels, findings in words.
-
-    Args:
-        console: to print on.
-        quality: of the records.
-        records: as they were read.
-        remarks: on what was done to their units.
-    """
+    """Verdict, table of the channels, findings in words."""
     console.print()
     console.print(plain(quality.verdict, f"bold {_COLOURS[quality.level]}"))
     console.print(plain(_size(records), "bright_black"))
@@ -87,7 +76,7 @@ def _shown(channels: Sequence[ChannelQuality]) -> list[ChannelQuality]:
 
 def _table(channels: Sequence[ChannelQuality], *, width: int) -> Table:
     """One row a channel, first what was found; on a narrow screen without the mean and the extremes."""
-    wide = width >= TableSize.WIDE
+    wide = width >= 100
     table = Table(box=None, pad_edge=False, header_style="bright_black", padding=(0, 2, 0, 0))
     table.add_column("channel", no_wrap=True)
     table.add_column("found", ratio=1, min_width=TableSize.LEAST_FOUND)
@@ -101,12 +90,12 @@ def _table(channels: Sequence[ChannelQuality], *, width: int) -> Table:
         numbers = channel.statistics
         values = (numbers.mean, numbers.std, numbers.smallest, numbers.largest) if wide else (numbers.std,)
         table.add_row(
-            plain(shorten(channel.name, TableSize.LONGEST_NAME if wide else TableSize.LEAST_FOUND)),
+            plain(shorten(channel.name, 28 if wide else TableSize.LEAST_FOUND)),
             _what(channel),
             plain(channel.role, "bright_black"),
-            *(plain(_number(x)) for x in values),
+            *(plain(number_text(x, "{:.3g}")) for x in values),
             plain(shorten(channel.unit, 12 if wide else 7), "bright_black"),
-            plain(_number(numbers.signal_to_noise, "{:.0f} dB")),
+            plain(number_text(numbers.signal_to_noise, "{:.0f} dB")),
             plain(whole_percent(numbers.explained)),
         )
     return table
@@ -135,10 +124,6 @@ def _findings(console: Console, level: str, findings: Sequence[Finding]) -> None
     console.print(rows)
 
 
-def _number(value: float, form: str = "{:.3g}") -> str:
-    return form.format(value) if math.isfinite(value) else "–"
-
-
 def carry_out_check(source: FileSource, json: Path | None) -> DataQuality:
     """Read, check, write, print what was found; the file is complete before a word is printed.
 
@@ -165,12 +150,7 @@ def carry_out_check(source: FileSource, json: Path | None) -> DataQuality:
 
 
 def quality_json(quality: DataQuality, records: Sequence[Record]) -> str:
-    """Everything that was found as JSON; what is not known is null. The same records give the same bytes.
-
-    Args:
-        quality: of the records.
-        records: as they were read.
-    """
+    """Everything that was found as JSON; what is not known is null. The same records give the same bytes."""
     document = {
         "level": quality.level,
         "verdict": quality.verdict,
@@ -207,15 +187,9 @@ def _known(number: float) -> float | None:
 
 def _write(path: Path, text: str) -> None:
     """The whole file or none of it."""
-    beside = path.with_name(f".{path.name}.part")
     try:
-        try:
-            beside.write_text(text, encoding="utf-8")
-            beside.replace(path)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                beside.unlink(missing_ok=True)
-            raise
+        with complete_file(path) as part:
+            part.write_text(text, encoding="utf-8")
     except OSError as error:
         raise InvalidDataError(f"{path} could not be written ({error.strerror}); choose another place.") from error
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -13,8 +13,10 @@ from modal.command.terminal import Screen, listing, plain, show_paths
 from modal.comparison import words
 from modal.comparison.changes import Comparison, Difference, ModePair, compare_results
 from modal.comparison.shifts import Shift, read_result
-from modal.report.comparison import refuse_existing_comparison, write_comparison
+from modal.report.comparison import ComparisonFiles, write_comparison
+from modal.report.folder import refuse_names
 from modal.wording.text import hertz
+from okid.readers.guard import Existing
 
 _ORDER = ("beyond chance", "perhaps chance", "within its interval", "not known")
 _COLOURS = {
@@ -109,9 +111,9 @@ def diff(
     unreadable input.
     """
     with faults(show=traceback):
-        existing: Literal["refuse", "replace"] = "replace" if overwrite else "refuse"
+        existing: Existing = "replace" if overwrite else "refuse"
         if folder is not None:
-            refuse_existing_comparison(folder, existing)
+            refuse_names(folder, ComparisonFiles.in_folder(folder).names, existing)
         comparison = compare_results(read_result(before), read_result(after))
         files = None if folder is None else write_comparison(comparison, folder, existing=existing)
         console = Screen(highlight=False)

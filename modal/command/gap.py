@@ -27,8 +27,8 @@ from modal.discrepancy.diagnosis import diagnose, expected_diagnosis_work
 from modal.discrepancy.results import Diagnosis, Finding, in_words
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
-from modal.report.discrepancy_writing import DiagnosisFiles, refuse_existing_diagnosis, write_diagnosis
-from modal.report.folder import standing
+from modal.report.discrepancy_writing import DiagnosisFiles, write_diagnosis
+from modal.report.folder import refuse_names, standing
 from modal.report.pages import hold_text
 from modal.report.pdf import write_pdf
 from modal.sections import discrepancy_words as words
@@ -38,12 +38,11 @@ from modal.sections.provenance import Provenance, fingerprints
 from modal.structure.model_file import read_model
 from modal.wording.text import listed
 from okid.errors import InvalidDataError
+from okid.readers.guard import Existing
 from okid.record import InputHold, Record
 
 _TRUST = {"carried": "bold green", "with care": "bold yellow", "not carried": "bold red"}
 _STAGES = {"before": "red", "linear": "yellow", "after": "green"}
-MOST_PARTS = 12
-"""Show so many rows of the table before and after; the report has all."""
 
 READ, DIAGNOSED, WRITTEN = 0.03, 0.92, 0.97
 """Share of the work that is behind, about, when a step has ended."""
@@ -129,7 +128,7 @@ def _before_after(stages: Sequence[Stage]) -> Table:
     table.add_column("")
     for stage in stages:
         table.add_column(stage.name, justify="right", no_wrap=True)
-    for row in [row for row in rows_of(stages) if row.part != "band"][:MOST_PARTS]:
+    for row in [row for row in rows_of(stages) if row.part != "band"][:12]:  # the report has all
         cells = [plain(times_text(size), _STAGES[stage.kind]) for stage, size in zip(stages, row.sizes, strict=True)]
         table.add_row(plain(row.part, "bright_black"), plain(row.name), *cells)
     return table
@@ -137,22 +136,7 @@ def _before_after(stages: Sequence[Stage]) -> Table:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class GapJob:
-    """What to do, and with which files.
-
-    Attributes:
-        model: file of the model.
-        fit: files of the records to fit.
-        held_out: files of the held-out records.
-        inputs: names of the input columns; the model's own names unless given.
-        outputs: names of the output columns; the model's own names unless given.
-        dt: time step [s] where the files have none.
-        hold: what the inputs did between samples.
-        catalogue: keys of the effects to try; all unless given.
-        folder: for the report.
-        existing: "refuse" to touch a report that is there, or "replace" it.
-        printed: print the report into a file too.
-        budget: CPU seconds after which the search begins nothing new; unless given, its work is bounded.
-    """
+    """What to do, and with which files."""
 
     model: Path
     fit: tuple[Path, ...]
@@ -163,7 +147,7 @@ class GapJob:
     hold: InputHold
     catalogue: list[str] | None
     folder: Path
-    existing: Literal["refuse", "replace"]
+    existing: Existing
     printed: bool = False
     budget: float | None = None
 
@@ -192,7 +176,7 @@ def carry_out_gap(job: GapJob) -> tuple[Diagnosis, DiagnosisFiles, Console]:
         InvalidDataError: files that cannot be read or do not belong together, or a report that could not be written.
         InsufficientDataError: records that are too short or too poor.
     """
-    refuse_existing_diagnosis(job.folder, job.existing)
+    refuse_names(job.folder, DiagnosisFiles.in_folder(job.folder).names, job.existing)
     if job.pdf is not None:
         refuse_pdf(job.pdf, job.existing)
     refuse_other_report(job.folder, "modes.csv")

@@ -14,7 +14,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from modal.command import batch, check, demo, diff, gap, run, track, view
+from modal.command import batch, check, diff, gap, run, track, view
 from modal.command.options import complain, spread_files
 from modal.command.stopping import STOPPED, Requests
 from modal.command.terminal import plain_streams
@@ -108,7 +108,7 @@ def _root(
 
 
 app.command(epilog=run.EXAMPLES)(run.run)
-app.command(epilog=demo.EXAMPLES)(demo.demo)
+app.command(epilog=run.DEMO_EXAMPLES)(run.demo)
 app.command(epilog=batch.EXAMPLES)(batch.batch)
 app.command(epilog=check.EXAMPLES)(check.check)
 app.command(epilog=gap.EXAMPLES)(gap.gap)

@@ -198,10 +198,6 @@ def spread_files(arguments: Sequence[str], options: Sequence[str]) -> list[str]:
     Only behind the first word that is no option's value; before it, an option takes the one file that follows, so that
     the first word cannot be taken for a file of the option.
 
-    Args:
-        arguments: of the command, without its name.
-        options: that take files.
-
     Example:
         >>> spread_files(["model.toml", "--fit", "a", "b", "--dt", "0.1"], ["--fit"])
         ['model.toml', '--fit', 'a', '--fit', 'b', '--dt', '0.1']

@@ -1,4 +1,4 @@
-"""`modal-report run`: from measured files to modes, a report and a recording.
+"""`modal-report run`: from measured files to modes, a report and a recording; `demo`: the same of an embedded example.
 
 What would stop the work is looked at before it begins: a report that is there, a file that cannot be read, no browser.
 """
@@ -33,8 +33,18 @@ from modal.command.options import (
     plain_name,
     whole_or_auto,
 )
-from modal.command.terminal import Screen, live_view, progress_bar, say_beforehand, show_files, show_result
-from modal.examples.demo import demo_record
+from modal.command.terminal import (
+    Screen,
+    live_view,
+    plain,
+    progress_bar,
+    say_beforehand,
+    show_comparison,
+    show_files,
+    show_result,
+)
+from modal.examples.demo import compare_with_truth, demo_geometry, demo_record, demo_truth
+from modal.examples.files import write_files
 from modal.geometry.file import read_geometry
 from modal.geometry.sensors import Geometry
 from modal.identification.pipeline import expected_work, identify
@@ -46,12 +56,12 @@ from modal.recording.live import log_progress, log_records, log_result
 from modal.report import ReportFiles, write_report
 from modal.report.folder import refuse_names, standing
 from modal.report.pdf import NoBrowserError, find_browser, write_pdf
-from modal.report.writing import refuse_existing
 from modal.sections.provenance import Provenance, fingerprints
 from modal.wording.text import shorten
 from okid.errors import IdentificationWarning, InvalidDataError, visible
 from okid.frequency_response import FrequencyResponse
 from okid.readers import read_described
+from okid.readers.guard import Existing
 from okid.readers.response import holds_responses, read_response
 from okid.record import InputHold, Record
 
@@ -59,14 +69,11 @@ from okid.record import InputHold, Record
 def read_setup(job: "Job") -> tuple[Specification | None, Geometry | None]:
     """What the test file says and the geometry, once all is refused that can be before the work begins.
 
-    Args:
-        job: what to do.
-
     Raises:
         InvalidDataError: a report that could not be written, or a test file or geometry that is none.
         NoBrowserError: a PDF was asked for, and nothing prints it.
     """
-    refuse_existing(job.folder, job.existing)
+    refuse_names(job.folder, ReportFiles.in_folder(job.folder).names, job.existing)
     if job.pdf is not None:
         refuse_pdf(job.pdf, job.existing)
     specification = None if job.test is None else read_specification(job.test)
@@ -75,12 +82,8 @@ def read_setup(job: "Job") -> tuple[Specification | None, Geometry | None]:
     return specification, None if specification is None else specification.geometry
 
 
-def refuse_pdf(pdf: Path, existing: Literal["refuse", "replace"]) -> None:
+def refuse_pdf(pdf: Path, existing: Existing) -> None:
     """Raise before any work is done when a report could not be printed.
-
-    Args:
-        pdf: file that would be written.
-        existing: "refuse" to touch one that is there, or "replace" it.
 
     Raises:
         InvalidDataError: the file exists already, or its folder cannot be written.
@@ -96,10 +99,6 @@ def refuse_pdf(pdf: Path, existing: Literal["refuse", "replace"]) -> None:
 
 def refuse_sources(written: Iterable[Path], sources: Iterable[Path]) -> None:
     """Raise where a file that would be written is one that is read: replacing it would lose what was measured.
-
-    Args:
-        written: files that would be written.
-        sources: files that are read.
 
     Raises:
         InvalidDataError: the first such file.
@@ -158,23 +157,10 @@ READ, IDENTIFIED, WRITTEN = 0.03, 0.75, 0.95
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Job:
-    """What to do with the records, wherever they come from.
-
-    Attributes:
-        folder: for the report.
-        existing: "refuse" to touch a report that is there, or "replace" it.
-        observer_order: past samples of the observer.
-        ridge: of the observer fit.
-        order: of the model.
-        kind: of the records.
-        test: file of what no measured file knows; None where there is none.
-        geometry: file of nodes, lines and sensors; None: that of the test file, if it has one.
-        live: show the work in a viewer while it goes on.
-        printed: print the report into a file too.
-    """
+    """What to do with the records, wherever they come from."""
 
     folder: Path
-    existing: Literal["refuse", "replace"]
+    existing: Existing
     observer_order: int | Auto = "auto"
     ridge: float | Auto = "auto"
     order: int | Auto = "auto"
@@ -247,15 +233,7 @@ class FileSource:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Finished:
-    """What a run came to.
-
-    Attributes:
-        result: of `modal.identify`.
-        files: of the report.
-        pdf: the printed report, None where it was not asked for.
-        limits: what became of each limit of the test file; empty where there is none.
-        console: to go on printing to.
-    """
+    """What a run came to."""
 
     result: Identification
     files: ReportFiles
@@ -450,3 +428,43 @@ def run(
 def exit_status(finished: Finished) -> int:
     """0 where the result can be relied on and every limit is surely met, 1 otherwise."""
     return 0 if trust_of(finished.result).trust != "not carried" and all_met(finished.limits) else 1
+
+
+DEMO_EXAMPLES = examples(
+    "report, recording and all: demo -o demo",
+    "and look at it: view demo",
+    "files to try every command with: demo --files -o .",
+)
+
+
+def demo(
+    folder: Annotated[
+        Path, typer.Option("-o", "--out", metavar="FOLDER", parser=folder_path, help="Folder for the report.")
+    ] = Path("modal-report-demo"),
+    *,
+    files: Annotated[
+        bool, typer.Option("--files", metavar="", help="Write only the files that the commands of README name.")
+    ] = False,
+    live: Live = False,
+    pdf: Pdf = False,
+    overwrite: Overwrite = False,
+    traceback: Traceback = False,
+) -> None:
+    """Identify an embedded example whose true modes are known, and compare what is found with what is true.
+
+    It takes seconds and needs no file. Exit status: 0 done; 1 done, but
+    the result is not reliable; 2 wrong use.
+    """
+    with faults(show=traceback):
+        if files:
+            written = write_files(folder, existing="replace" if overwrite else "refuse")
+            Screen(highlight=False).print(
+                plain(f"{len(written)} files written to {folder}, for the commands of README")
+            )
+            return
+        job = Job(folder=folder, existing="replace" if overwrite else "refuse", live=live, printed=pdf)
+        provenance = Provenance(command="modal-report demo")
+        finished = carry_out(job, read_demo, provenance=provenance, geometry=demo_geometry())
+        show_comparison(finished.console, compare_with_truth(demo_truth(), finished.result.modes))
+        show_files(finished.console, finished.files, pdf=finished.pdf)
+        raise typer.Exit(exit_status(finished))

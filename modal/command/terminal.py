@@ -14,7 +14,7 @@ import sys
 import unicodedata
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from rich.console import Console
 from rich.progress import BarColumn, ProgressColumn, Task, TaskProgressColumn, TextColumn
@@ -28,21 +28,17 @@ from modal.examples.demo import ModeComparison
 from modal.identification.result import Identification
 from modal.identification.words import damping_text, frequency_text, shown_frequency, trust_of
 from modal.modes.mode import Mode, numbered
+from modal.quality import DataQuality
 from modal.recording.live import live_recording
 from modal.report.writing import ReportFiles
 from modal.sections.words import data_sentences, modes_headline, next_sentences, remark_of
 from modal.wording.text import hertz, shorten
 from okid.errors import visible
 
-if TYPE_CHECKING:
-    from modal.quality import DataQuality
-
 
 class Shown:
     """How much a terminal shows, and from when on."""
 
-    LONGEST_NAME: Final = 80
-    """Shorten the name of a limit, which is a stranger's text, to so many letters."""
     MOST_NOISE: Final = 5
     """Name so many noise poles; the report has all."""
     LEAST_SHARE: Final = 0.05
@@ -116,7 +112,7 @@ def show_result(
     *,
     remarks: Sequence[str] = (),
     limits: Sequence[LimitOutcome] = (),
-    quality: "DataQuality | None" = None,
+    quality: DataQuality | None = None,
 ) -> None:
     """Headline, how sure, what to do, mode table, limits of acceptance, warnings."""
     judgement = trust_of(result)
@@ -153,7 +149,7 @@ def show_limits(console: Console, limits: Sequence[LimitOutcome]) -> None:
 
 
 def _limit_text(outcome: LimitOutcome) -> str:
-    text = f"{shorten(outcome.what, Shown.LONGEST_NAME)}: wanted {outcome.required}; found {outcome.found}"
+    text = f"{shorten(outcome.what, 80)}: wanted {outcome.required}; found {outcome.found}"
     return f"{text} ({outcome.reason})" if outcome.reason else text
 
 
@@ -167,10 +163,10 @@ def show_comparison(console: Console, comparison: Sequence[ModeComparison]) -> N
         table.add_row(
             hertz(row.frequency),
             hertz(row.found_frequency) if math.isfinite(row.found_frequency) else "–",
-            _number(100 * (row.found_frequency / row.frequency - 1), "{:+.3f} %"),
+            number_text(100 * (row.found_frequency / row.frequency - 1), "{:+.3f} %"),
             f"{100 * row.damping_ratio:.2f} %",
-            _number(100 * row.found_damping_ratio, "{:.2f} %"),
-            _number(row.assurance, "{:.3f}"),
+            number_text(100 * row.found_damping_ratio, "{:.2f} %"),
+            number_text(row.assurance, "{:.3f}"),
             plain(row.verdict or "not found", _COLOURS.get(row.verdict or "", "red")),
         )
     console.print()
@@ -213,7 +209,7 @@ def _mode_table(shown: Sequence[tuple[int, Mode]]) -> Table:
             plain(str(number), "bright_black"),
             plain(frequency_text(mode), f"bold {colour}" if mode.verdict == "system" else colour),
             plain(damping_text(mode), colour),
-            plain(_number(mode.repeatability, "{:.2f}"), colour),
+            plain(number_text(mode.repeatability, "{:.2f}"), colour),
             plain(mode.verdict, colour),
             *([plain(remark, "" if mode.verdict == "system" else colour)] if any(remarks) else []),
         )
@@ -236,18 +232,14 @@ def _first_part(reason: str) -> str:
     return "" if first.startswith("damping not resolved") else first
 
 
-def _number(value: float, form: str) -> str:
+def number_text(value: float, form: str) -> str:
+    """The value in this form, a dash where it is none."""
     return form.format(value) if math.isfinite(value) else "–"
 
 
 @contextlib.contextmanager
 def live_view(*, wanted: bool, tell: Callable[[str], None]) -> Iterator[Any]:
-    """The stream to a viewer for the time of the work; None where none was asked for, or can be had.
-
-    Args:
-        wanted: whether one was asked for.
-        tell: gets one sentence where no viewer can be had.
-    """
+    """The stream to a viewer for the time of the work; None where none was asked for, or can be had."""
     with live_recording(tell=tell) if wanted else contextlib.nullcontext() as recording:
         yield recording
 

@@ -28,9 +28,6 @@ _FOOTER, _WITH_FOOTER = b"RRF2FOOT", (0, 41)
 def recording_of(result: str | Path) -> Path:
     """The recording in the folder of a result, or the file itself.
 
-    Args:
-        result: folder that a command wrote, or a file that ends in .rrd.
-
     Raises:
         UnreadableFileError: there is no such file, no recording in the folder, or it holds something else.
     """
@@ -63,9 +60,6 @@ def find_viewer() -> Path | None:
 
 def open_recording(recording: Path) -> str:
     """Open the viewer and let it live on by itself.
-
-    Args:
-        recording: an .rrd file.
 
     Returns:
         "" when it opened, else one sentence: why not, and what to do.

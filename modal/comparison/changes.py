@@ -185,10 +185,6 @@ class Comparison(Displayed):
         return any(pair.changed for pair in self.pairs) or any(one.mode.verdict == "system" for one in alone)
 
 
-NEAR = 0.05
-"""Name a pole within this relative distance of frequencies as what may be left of a lost mode."""
-
-
 def compare_results(before: Identification | ResultSummary, after: Identification | ResultSummary) -> Comparison:
     """Match the modes of two results and test what shifted.
 
@@ -273,5 +269,7 @@ def _alone(
 def _nearest(mode: Mode, others: list[Mode]) -> Mode | None:
     same = [one for one in others if one.kind == mode.kind]
     best = min(same, key=lambda one: abs(one.pole - mode.pole), default=None)
-    close = best is not None and abs(best.frequency - mode.frequency) <= NEAR * mode.frequency
+    close = (
+        best is not None and abs(best.frequency - mode.frequency) <= 0.05 * mode.frequency
+    )  # as near as what is left of a lost mode
     return best if close else None

@@ -43,9 +43,6 @@ PART = "summary"
 MOST_MODES = 2000
 """Refuse a file with more modes than any identification has: each is weighed against every one of the other result."""
 
-LONGEST_NAME = 200
-"""Shorten names and messages of a stranger's file to so many letters."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class ChannelName(Displayed):
@@ -163,7 +160,7 @@ def _check(summary: ResultSummary) -> None:
 
 
 def _shown(text: object) -> str:
-    return shorten(visible(str(text)), LONGEST_NAME)
+    return shorten(visible(str(text)), 200)
 
 
 def _channel_names(names: Sequence[str], units: Sequence[str]) -> tuple[ChannelName, ...]:
@@ -207,12 +204,7 @@ class Matching:
 
 
 def match_modes(before: ResultSummary, after: ResultSummary) -> Matching:
-    """The pairs of least cost among the modes of two results; see the module for the cost.
-
-    Args:
-        before: the one result.
-        after: the other.
-    """
+    """The pairs of least cost among the modes of two results; see the module for the cost."""
     similarity = _assurance(before, after)
     costs = pair_costs(before.modes, after.modes, similarity)
     rows = [index for index, mode in enumerate(before.modes) if mode.verdict != "noise"]

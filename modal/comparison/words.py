@@ -114,13 +114,7 @@ def verdict_change(pair: ModePair) -> str:
 
 
 def unmatched_sentence(one: Unmatched, *, present: str, absent: str) -> str:
-    """A mode that only one result has.
-
-    Args:
-        one: the mode.
-        present: name of the result that has it.
-        absent: name of the other.
-    """
+    """A mode that only one result has."""
     present, absent = (shorten(visible(name)) for name in (present, absent))
     what = "a mode of the system" if one.mode.verdict == "system" else "a doubtful pole"
     sentence = f"{_at(one.mode)}, {what} in {present}, has no partner in {absent}"

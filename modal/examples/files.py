@@ -15,8 +15,9 @@ import numpy as np
 
 from modal.examples.motor_propeller import Motor, linear_model, measured_record
 from modal.examples.story import LinearStructure, random_forces
-from modal.report.folder import Existing, write_folder
+from modal.report.folder import write_folder
 from okid.arrays import FloatArray
+from okid.readers.guard import Existing
 
 MAST: Final = ("root", "middle", "tip")
 """Where the accelerometers of the mast sit."""
@@ -84,9 +85,6 @@ def write_files(folder: Path, *, existing: Existing = "refuse") -> tuple[Path, .
     Args:
         folder: made if it does not exist.
         existing: "refuse" to touch a folder that holds one of the files, or "replace" those files.
-
-    Returns:
-        The paths.
 
     Raises:
         InvalidDataError: a file exists already, or the folder cannot be written.

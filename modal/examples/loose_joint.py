@@ -159,25 +159,14 @@ def _shaker(frame: Frame, rng: np.random.Generator, level: float) -> Callable[[f
 
 
 def study(frame: Frame, rng: np.random.Generator, *, n_samples: int = 2048) -> Diagnosis:
-    """Three levels to fit and a fourth one held out, against the linear model.
-
-    Args:
-        frame: the truth.
-        rng: where the records come from.
-        n_samples: of each record.
-    """
+    """Three levels to fit and a fourth one held out, against the linear model."""
     levels = (("quiet", 8), ("medium", 25), ("loud", 70), ("held out", 45))
     *fit, held_out = (frame_record(frame, rng, level=level, name=name, n_samples=n_samples) for name, level in levels)
     return diagnose(frame_model(frame), fit=fit, held_out=held_out)
 
 
 def summary(frame: Frame, diagnosis: Diagnosis) -> str:
-    """What was found, beside what was hidden.
-
-    Args:
-        frame: the truth.
-        diagnosis: of `study`.
-    """
+    """What was found, beside what was hidden."""
     lines = [diagnosis.verdict, shrinking(diagnosis)]
     found = [finding for finding in diagnosis.findings if finding.effect == "gap_spring"]
     if found:

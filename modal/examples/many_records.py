@@ -94,11 +94,6 @@ def modules(*, loss: float = 0.0) -> LinearStructure:
 def records_of(structure: LinearStructure, rng: np.random.Generator, *, n_samples: int = 2048) -> tuple[Record, ...]:
     """Three days of testing: each with its own level, start, offsets and lost samples.
 
-    Args:
-        structure: the truth.
-        rng: where all of that comes from.
-        n_samples: of each record, 128 a second.
-
     Example:
         >>> [record.name for record in records_of(modules(), np.random.default_rng(1), n_samples=256)]
         ['day 1', 'day 2', 'day 3']
@@ -129,12 +124,7 @@ def records_of(structure: LinearStructure, rng: np.random.Generator, *, n_sample
 
 
 def compared(before: Identification, after: Identification) -> Comparison:
-    """What changed between the two.
-
-    Args:
-        before: of the records before somebody worked on the bolt.
-        after: of those after it.
-    """
+    """What changed between the two."""
     return compare_results(summary_of(before, name="before"), summary_of(after, name="after"))
 
 
@@ -156,11 +146,7 @@ class Suspect:
 
 
 def suspects(comparison: Comparison) -> tuple[Suspect, ...]:
-    """Every joint as the suspect, the one that explains the shifts best first; all joints are alike on the drawing.
-
-    Args:
-        comparison: of before and after.
-    """
+    """Every joint as the suspect, the one that explains the shifts best first; all joints are alike on the drawing."""
     shifts = np.array([pair.frequency.change for pair in comparison.pairs])
     stds = np.array([pair.frequency.half_width for pair in comparison.pairs]) / 1.96
     strains = np.array([np.abs(ACROSS @ pair.before.shape) ** 2 for pair in comparison.pairs])
@@ -175,11 +161,7 @@ def suspects(comparison: Comparison) -> tuple[Suspect, ...]:
 
 
 def summary(comparison: Comparison) -> str:
-    """What shifted, and the joint that explains it, beside the one that was hidden.
-
-    Args:
-        comparison: of before and after.
-    """
+    """What shifted, and the joint that explains it, beside the one that was hidden."""
     best, second = suspects(comparison)[:2]
     lines = [comparison_headline(comparison), *(f"  {pair_sentence(pair)}" for pair in comparison.pairs)]
     lines.append(
@@ -195,9 +177,6 @@ def summary(comparison: Comparison) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Compare three days with three other days, and name the joint.
-
-    Args:
-        arguments: as in `modal.examples.story.command_line`; the command line's unless given.
 
     Returns:
         0 where something changed beyond chance, 1 otherwise.

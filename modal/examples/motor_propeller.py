@@ -130,12 +130,7 @@ def measured_record(
 
 
 def study(motor: Motor, rng: np.random.Generator) -> Diagnosis:
-    """Two runs to fit and one that is held out, against the linear model.
-
-    Args:
-        motor: the truth.
-        rng: where the records come from.
-    """
+    """Two runs to fit and one that is held out, against the linear model."""
     slow = measured_record(motor, rng, voltages=(1, 4), name="slow")
     fast = measured_record(motor, rng, voltages=(3, 12), name="fast")
     middle = measured_record(motor, rng, voltages=(2, 8), name="middle")
@@ -143,12 +138,7 @@ def study(motor: Motor, rng: np.random.Generator) -> Diagnosis:
 
 
 def summary(motor: Motor, diagnosis: Diagnosis) -> str:
-    """What was found, beside what was hidden.
-
-    Args:
-        motor: the truth.
-        diagnosis: of `study`.
-    """
+    """What was found, beside what was hidden."""
     lines = [diagnosis.verdict, shrinking(diagnosis)]
     if any(finding.effect == "quadratic_drag" for finding in diagnosis.findings):
         drag, drag_std = parameter(diagnosis, "quadratic_drag", "c2")

@@ -35,11 +35,11 @@ LEVELS = (100.0, 30.0, 10.0, 70.0, 20.0, 50.0)
 """Of the shaker [N]."""
 
 
-def mast() -> LinearStructure:
+def tall_mast() -> LinearStructure:
     """The truth: a shaker on the roof, an accelerometer on each floor.
 
     Example:
-        >>> mast().modes()[0].round(2).tolist()
+        >>> tall_mast().modes()[0].round(2).tolist()
         [2.18, 6.46, 10.52, 14.23, 17.45, 20.07, 22.01, 23.2]
     """
     storeys = 2 * np.eye(N_FLOORS) - np.eye(N_FLOORS, k=1) - np.eye(N_FLOORS, k=-1)
@@ -56,15 +56,11 @@ def mast() -> LinearStructure:
 def set_ups(rng: np.random.Generator, *, n_samples: int = 1024) -> tuple[Record, ...]:
     """Six records of three accelerometers each, with 2 % noise.
 
-    Args:
-        rng: where forces and noise come from.
-        n_samples: of each record, 64 a second.
-
     Example:
         >>> [record.output_names[-1] for record in set_ups(np.random.default_rng(1), n_samples=64)]
         ['floor_1', 'floor_2', 'floor_3', 'floor_4', 'floor_6', 'floor_7']
     """
-    structure, records = mast(), []
+    structure, records = tall_mast(), []
     for number, (level, roving) in enumerate(zip(LEVELS, ROVE, strict=True), start=1):
         floors = [*STAY, roving]
         forces = random_forces(rng, n_samples, np.array([level]))
@@ -86,16 +82,12 @@ def set_ups(rng: np.random.Generator, *, n_samples: int = 1024) -> tuple[Record,
 
 
 def summary(result: Identification) -> str:
-    """Each mode beside the truth.
-
-    Args:
-        result: of all set-ups together.
-    """
-    frequencies, shapes = mast().modes()
+    """Each mode beside the truth."""
+    frequencies, shapes = tall_mast().modes()
     names = result.modes.output_names
     truth = DemoTruth(
         frequencies=frequencies,
-        damping_ratios=np.full(N_FLOORS, mast().damping_ratio),
+        damping_ratios=np.full(N_FLOORS, tall_mast().damping_ratio),
         shapes=shapes[[int(name.removeprefix("floor_")) - 1 for name in names]].astype(np.complex128),
         output_names=names,
         heights=np.arange(1.0, len(names) + 1.0),
@@ -114,9 +106,6 @@ def summary(result: Identification) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Identify the mast from its six set-ups.
-
-    Args:
-        arguments: as in `modal.examples.story.command_line`; the command line's unless given.
 
     Returns:
         0 where all modes were found, 1 otherwise.

@@ -85,11 +85,6 @@ def print_written(write: Callable[[], Iterable[Path]]) -> None:
 def parameter(diagnosis: Diagnosis, effect: str, name: str) -> tuple[float, float]:
     """Value and standard deviation of a parameter of an effect that was found.
 
-    Args:
-        diagnosis: where the effect was found.
-        effect: key in the catalogue.
-        name: of the parameter.
-
     Raises:
         InvalidDataError: it was not found.
     """

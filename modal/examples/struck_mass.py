@@ -2,7 +2,8 @@
 
 The mass obeys m x'' + c x' + k x = F. A hammer pushes with 1 N for one tick of the clock; a sensor reads the position
 at every tick, with noise. From those samples alone, without m, c and k, we want a model that answers the hammer as the
-mass does, and with it the frequency and the damping. Five steps lead there:
+mass does, and with it the frequency and the damping. Wherever `samples` stands below, they are (2N + 1,) positions [m]
+from the tick of the push on. Five steps lead there:
 
 1. **Samples are a product.** For a push of one tick the samples are h(k) = C A^(k-1) B with the sampled matrices A, B,
    C of the mass, whatever coordinates its state is written in (`StruckMass.model`, `sampled_pulse`).
@@ -43,7 +44,7 @@ from era.balanced import realise
 from modal.examples.story import command_line, print_written
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel
-from modal.plots.layout import Chart, Key, grid_of
+from modal.plots.layout import Chart, Key, grid_of, one_panel
 from modal.plots.panels import Role
 from modal.plots.vector import page_of, svg_text
 from okid.arrays import FloatArray, frozen
@@ -78,12 +79,7 @@ class LinearModel:
 
 
 def sampled_pulse(model: LinearModel, n_samples: int) -> FloatArray:
-    """(n_samples,) answer to a push of one unit for one tick: D, C B, C A B, ...
-
-    Args:
-        model: any linear model.
-        n_samples: how many, the one at the tick of the push included.
-    """
+    """(n_samples,) answer to a push of one unit for one tick: D, C B, C A B, ..."""
     response, state = np.empty(n_samples), model.B
     response[0] = model.D
     for k in range(1, n_samples):
@@ -93,21 +89,12 @@ def sampled_pulse(model: LinearModel, n_samples: int) -> FloatArray:
 
 
 def step_response(model: LinearModel, n_samples: int) -> FloatArray:
-    """(n_samples,) answer to a push that stays: the running sum of the pulse response.
-
-    Args:
-        model: any linear model.
-        n_samples: how many, the one at the tick of the first push included.
-    """
+    """(n_samples,) answer to a push that stays: the running sum of the pulse response."""
     return np.asarray(np.cumsum(sampled_pulse(model, n_samples)))
 
 
 def hankel(samples: FloatArray, first: int) -> FloatArray:
     """H(first), entry (i, j) = samples[first + i + j], square, as large as 2N + 1 samples allow for first = 1 and 2.
-
-    Args:
-        samples: (2N + 1,) pulse response from the tick of the push on.
-        first: sample in the upper left corner.
 
     Raises:
         InsufficientDataError: fewer than five samples.
@@ -126,11 +113,7 @@ def hankel(samples: FloatArray, first: int) -> FloatArray:
 
 
 def full_order_model(samples: FloatArray) -> LinearModel:
-    """A = H(2) H(1)^-1, B = H(1) e1, C = e1': repeats every sample that it was made from, noise and all.
-
-    Args:
-        samples: (2N + 1,) pulse response from the tick of the push on.
-    """
+    """A = H(2) H(1)^-1, B = H(1) e1, C = e1': repeats every sample that it was made from, noise and all."""
     first, second = hankel(samples, 1), hankel(samples, 2)
     A = np.linalg.solve(first.T, second.T).T.astype(np.float64)
     return LinearModel(A=A, B=first[:, 0], C=np.eye(len(first))[0], D=float(samples[0]))
@@ -163,11 +146,7 @@ class SingularValueShares:
 
 
 def singular_value_shares(samples: FloatArray) -> SingularValueShares:
-    """How much the first n directions of the Hankel matrix carry, for every n.
-
-    Args:
-        samples: (2N + 1,) pulse response from the tick of the push on.
-    """
+    """How much the first n directions of the Hankel matrix carry, for every n."""
     values = np.linalg.svd(hankel(samples, 1), compute_uv=False).astype(np.float64)
     floor = np.maximum(values, np.finfo(float).eps * values[0])  # exact data: the gap is taken to rounding
     return SingularValueShares(
@@ -196,12 +175,7 @@ def truncated_model(samples: FloatArray, order: int, *, projector: Literal["left
 
 
 def reduced_model(samples: FloatArray, order: int) -> LinearModel:
-    """ERA: A = S^-1/2 U' H(2) V S^-1/2, B = S^1/2 V' e1, C = e1' U S^1/2, with `order` states.
-
-    Args:
-        samples: (2N + 1,) pulse response from the tick of the push on.
-        order: states kept.
-    """
+    """ERA: A = S^-1/2 U' H(2) V S^-1/2, B = S^1/2 V' e1, C = e1' U S^1/2, with `order` states."""
     U, values, Vt = np.linalg.svd(hankel(samples, 1))
     root = np.sqrt(values[:order])
     U, Vt = U[:, :order], Vt[:order]
@@ -233,12 +207,7 @@ WIDE = (10, 3.6)
 
 
 def draw_full_order(short: "Study", *, n_beyond: int = 20) -> Chart:
-    """Why a perfect fit proves nothing: the full-order model on its own samples, and just beyond them.
-
-    Args:
-        short: a study of few samples, so that rounding does not spoil the exact model.
-        n_beyond: how many samples to go beyond those that were fitted.
-    """
+    """Why a perfect fit proves nothing: the full-order model on its own samples, and just beyond them."""
     n_fitted = len(short.samples)
     figure = grid_of(1, 2, size=WIDE)
     inside, beyond = figure.panels
@@ -261,11 +230,7 @@ def draw_full_order(short: "Study", *, n_beyond: int = 20) -> Chart:
 
 
 def draw_pareto(result: "Study") -> Chart:
-    """Singular values with their share in the sum, their share in the energy, and the gap.
-
-    Args:
-        result: a study of many samples, on which the three measures disagree.
-    """
+    """Singular values with their share in the sum, their share in the energy, and the gap."""
     shares = result.shares
     number = np.arange(1.0, len(shares.singular_values) + 1.0)
     figure = grid_of(1, 2, size=WIDE)
@@ -293,19 +258,14 @@ def draw_pareto(result: "Study") -> Chart:
 
 
 def draw_reduction(result: "Study") -> Chart:
-    """Truncated against reduced: equal to rounding with the left projector, not without it.
-
-    Args:
-        result: any study.
-    """
+    """Truncated against reduced: equal to rounding with the left projector, not without it."""
     order, n_samples = result.reduced.order, len(result.samples)
     reduced = sampled_pulse(result.reduced, n_samples)
     models: tuple[tuple[str, LinearModel, Role], ...] = (
         ("A = U U' H(2) Hr^+  (with the projector)", result.truncated, "system"),
         ("A = H(2) Hr^+  (without)", truncated_model(result.samples, order, projector="none"), "residual"),
     )
-    figure = grid_of(1, 1, size=(7, 3.6))
-    panel = figure.panels[0]
+    figure, panel = one_panel(7, 3.6)
     tick = result.truth.dt * np.arange(n_samples)
     for label, model, role in models:
         difference = np.abs(sampled_pulse(model, n_samples) - reduced) / np.abs(reduced).max()
@@ -317,11 +277,7 @@ def draw_reduction(result: "Study") -> Chart:
 
 
 def draw_responses(result: "Study") -> Chart:
-    """Pulse and step response: truth, measurement, reduced model.
-
-    Args:
-        result: any study.
-    """
+    """Pulse and step response: truth, measurement, reduced model."""
     n_samples = len(result.samples)
     tick = result.truth.dt * np.arange(n_samples)
     figure = grid_of(1, 2, size=WIDE)
@@ -350,13 +306,7 @@ def _bars(place: FloatArray, height: FloatArray) -> list[FloatArray]:
 
 
 def write_pictures(short: "Study", result: "Study", folder: Path) -> tuple[Path, ...]:
-    """Draw all four pictures as SVG files, and return their paths.
-
-    Args:
-        short: a study of few samples, for the full-order model.
-        result: a study of many samples, for the rest.
-        folder: made where it does not exist.
-    """
+    """Draw all four pictures as SVG files, and return their paths."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, figure in (
@@ -419,14 +369,7 @@ class StruckMass:
 
 
 def measured_samples(truth: StruckMass, n_samples: int, *, noise: float, rng: np.random.Generator) -> FloatArray:
-    """(n_samples,) positions after the blow with white noise [m].
-
-    Args:
-        truth: the mass.
-        n_samples: how many, the one at the tick of the blow included.
-        noise: its standard deviation as a share of the largest position.
-        rng: where the noise comes from.
-    """
+    """(n_samples,) positions after the blow with white noise [m]."""
     clean = sampled_pulse(truth.model(), n_samples)
     size = noise * float(np.abs(clean).max())
     return clean + size * rng.standard_normal(n_samples)
@@ -434,10 +377,6 @@ def measured_samples(truth: StruckMass, n_samples: int, *, noise: float, rng: np
 
 def by_the_packages(truth: StruckMass, samples: FloatArray) -> ModalModel:
     """The same result in the words of the packages: samples after a blow are Markov parameters already.
-
-    Args:
-        truth: the mass, for its time step only.
-        samples: (2N + 1,) pulse response from the tick of the push on [m].
 
     Example:
         >>> truth = StruckMass()
@@ -480,13 +419,7 @@ class Study:
 
 
 def study(truth: StruckMass, samples: FloatArray, *, order: int = 2) -> Study:
-    """All five steps on the samples of one blow.
-
-    Args:
-        truth: the mass, for comparison only.
-        samples: (2N + 1,) pulse response from the tick of the push on [m].
-        order: states of the reduced model.
-    """
+    """All five steps on the samples of one blow."""
     full, reduced = full_order_model(samples), reduced_model(samples, order)
     clean = truth.model()
     frequency, damping_ratio = frequency_and_damping(reduced, truth.dt)
@@ -522,14 +455,7 @@ damping ratio {result.damping_ratio:.4f} (true {truth.damping_ratio:.4f})
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Study blows of four lengths, print the figures, write the pictures into a folder.
-
-    Args:
-        arguments: as in `modal.examples.story.command_line`; the command line's unless given.
-
-    Returns:
-        0.
-    """
+    """Study blows of four lengths, print the figures, write the pictures into a folder."""
     what = "A mass on a spring, struck once: what model is in the samples?"
     given = command_line(what, arguments, written="the pictures", seed=1985)
     truth = StruckMass()

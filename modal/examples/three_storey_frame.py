@@ -147,23 +147,14 @@ def _reading(name: str) -> FloatArray:
 
 
 def study(record: Record) -> tuple[Identification, Specification, tuple[LimitOutcome, ...]]:
-    """The modes of the record, the test file, and what became of each of its limits.
-
-    Args:
-        record: of the test.
-    """
+    """The modes of the record, the test file, and what became of each of its limits."""
     specification = read_specification(TEST_FILE)
     result = identify(record)
     return result, specification, check_limits(result, specification)
 
 
 def summary(found: Sequence[ModeComparison], outcomes: Sequence[LimitOutcome]) -> str:
-    """The answer, then each mode beside the truth.
-
-    Args:
-        found: modes against the truth.
-        outcomes: of the limits.
-    """
+    """The answer, then each mode beside the truth."""
     n_met = sum(outcome.met for outcome in outcomes)
     answer = "yes, the fan may run" if n_met == len(outcomes) else "no, not as it stands"
     lines = [f"{n_met} of {len(outcomes)} limits are surely met: {answer}."]
@@ -179,9 +170,6 @@ def summary(found: Sequence[ModeComparison], outcomes: Sequence[LimitOutcome]) -
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Test the frame and answer the question.
-
-    Args:
-        arguments: as in `modal.examples.story.command_line`; the command line's unless given.
 
     Returns:
         0 where all limits are met, 1 otherwise.

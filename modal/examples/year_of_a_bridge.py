@@ -66,12 +66,7 @@ def true_modes(temperature: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def table_of_modes(rng: np.random.Generator, temperature: FloatArray) -> Any:
-    """What `modal-report batch` would write of the year, as a pyarrow.Table.
-
-    Args:
-        rng: where errors, misses and false poles come from.
-        temperature: (n_hours,) [deg C].
-    """
+    """What `modal-report batch` would write of a year with this temperature [deg C], as a pyarrow.Table."""
     import pyarrow as pa
 
     frequencies, shapes = true_modes(temperature)
@@ -95,11 +90,7 @@ def table_of_modes(rng: np.random.Generator, temperature: FloatArray) -> Any:
 
 
 def study(rng: np.random.Generator) -> Tracks:
-    """The year, followed.
-
-    Args:
-        rng: where weather and errors come from.
-    """
+    """The year, followed."""
     temperature = temperatures(rng)
     table = table_of_modes(rng, temperature)
     seen = sorted({int(name.removeprefix("hour_")) for name in table.column("record").to_pylist()})
@@ -108,11 +99,7 @@ def study(rng: np.random.Generator) -> Tracks:
 
 
 def summary(tracks: Tracks) -> str:
-    """What was found, beside what was hidden.
-
-    Args:
-        tracks: of the year.
-    """
+    """What was found, beside what was hidden."""
     seen = [
         f"  since day {alarm.since / DAY:.1f}, seen on day {alarm.time / DAY:.1f}: {alarm.reason}"
         for alarm in tracks.alarms
@@ -123,9 +110,6 @@ def summary(tracks: Tracks) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Follow the year.
-
-    Args:
-        arguments: as in `modal.examples.story.command_line`; the command line's unless given.
 
     Returns:
         0 where a change was found, 1 otherwise.

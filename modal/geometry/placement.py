@@ -4,14 +4,13 @@ One picture needs one kind of quantity. For a mode with pole s, velocity is s an
 so outputs in m/s are divided by s and outputs in m/s^2 by s^2 where a picture holds both, and phases come out right as
 well. Rotations turn rigid bodies and are never drawn as translation. What is no motion (forces, strains) is left out.
 
-A picture where no geometry is known: the sensors in a row.
-
-Names that count rows and columns (p11, p12, ... p34; x1y2; r1c2) and fill a whole grid are drawn as one, and it is said
-that this is a guess. Names such as `12X+` still say which channels share a node and which way they look. Then the nodes
-stand in a row in the order of the record, along an axis in which nothing was measured if there is one: upright like a
-tower for motion in X and Y, lying like a beam for motion in Z. Otherwise every output has a place of its own in the
-order of the record and moves up and down; outputs of different units cannot share one scale, so each unit has a line of
-its own, one behind the other. Between two sensors a line is straight: nothing was measured there.
+Where no geometry is known, names that count rows and columns (p11, p12, ... p34; x1y2; r1c2) and fill a whole grid are
+drawn as one, and it is said that this is a guess. Names such as `12X+` still say which channels share a node and which
+way they look. Then the nodes stand in a row in the order of the record, along an axis in which nothing was measured if
+there is one: upright like a tower for motion in X and Y, lying like a beam for motion in Z. Otherwise every output has
+a place of its own in the order of the record and moves up and down; outputs of different units cannot share one scale,
+so each unit has a line of its own, one behind the other. Between two sensors a line is straight: nothing was measured
+there.
 """
 
 import re
@@ -28,9 +27,6 @@ from modal.wording.text import shorten
 from okid.arrays import ComplexArray, FloatArray
 from okid.errors import InvalidDataError, visible
 from okid.readers.units import convert_unit
-
-SPACING: Final = 0.7
-"""Draw the lines of two units so far apart; a line is 2 long."""
 
 _UP: Final = (0.0, 0.0, 1.0)
 
@@ -149,7 +145,7 @@ def _unnamed(names: Sequence[str], units: Sequence[str]) -> Geometry:
     if len(names) > 1:
         positions[:, 0] = np.linspace(-1.0, 1.0, len(names))
     for k, row in enumerate(rows):
-        positions[list(row), 1] = SPACING * (k - (len(rows) - 1) / 2)
+        positions[list(row), 1] = 0.7 * (k - (len(rows) - 1) / 2)  # a line is 2 long
     return Geometry(
         node_names=_visible_names(names),
         positions=positions,
@@ -216,9 +212,6 @@ class Placement:
 def turned(shape: ComplexArray) -> ComplexArray:
     """The shape times the phase that makes its real part as large as can be, its largest component positive.
 
-    Args:
-        shape: complex, of any dimensions.
-
     Example:
         >>> turned(np.array([1j, -2j])).round(12).real.tolist()
         [-1.0, 2.0]
@@ -256,11 +249,6 @@ def derivatives_of(output_units: Sequence[str]) -> tuple[int, ...]:
 
 def placed(geometry: Geometry | None, output_names: Sequence[str], output_units: Sequence[str] = ()) -> Placement:
     """Put outputs onto a geometry, or in a row where there is none.
-
-    Args:
-        geometry: nodes and sensors.
-        output_names: of the channels.
-        output_units: of the channels; all alike unless given.
 
     Raises:
         InvalidDataError: a geometry was given, and no output has a place in it.

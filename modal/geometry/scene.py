@@ -79,9 +79,6 @@ class Eye:
 def chosen_eye(placement: Placement) -> Eye:
     """The direction that shows most: from the front right, above the ground.
 
-    Args:
-        placement: extent by its nodes, motion by its sensors.
-
     Example:
         >>> from modal.geometry.placement import placed
         >>> chosen_eye(placed(None, ["a", "b", "c"])).towards.round(2).tolist()  # right, front, above
@@ -225,10 +222,6 @@ def phasors(mode: Mode, output_units: Sequence[str]) -> ComplexArray:
     Velocities and accelerations beside displacements are divided by the pole and its square, which brings their phases
     together.
 
-    Args:
-        mode: whose shape.
-        output_units: of the outputs.
-
     Returns:
         (n_outputs,).
     """
@@ -265,11 +258,6 @@ def complexity_words(mode: Mode) -> str:
 
 def comparable_shapes(modes: Sequence[Mode], output_names: Sequence[str], output_units: Sequence[str]) -> ComplexArray:
     """(n_outputs, n_modes) shapes as displacements where units differ and allow it, as they are otherwise.
-
-    Args:
-        modes: with shapes of n_outputs components.
-        output_names: of the outputs.
-        output_units: of the outputs.
 
     Example:
         >>> from types import SimpleNamespace

@@ -44,8 +44,6 @@ Motion = Literal["along", "about"]
 class GeometryLimits:
     """How large a geometry may be."""
 
-    LONGEST: Final = 200
-    """Take a name of more letters for one that names no degree of freedom."""
     MOST_NODES: Final = 50_000
     """Refuse a geometry of more nodes: no viewer turns it smoothly."""
     MOST_PLACES: Final = 400_000
@@ -95,7 +93,7 @@ def dof_of(name: str) -> Dof | None:
         ('plate:3', 'about')
     """
     text = name.strip()
-    if len(text) > GeometryLimits.LONGEST:
+    if len(text) > 200:  # names no degree of freedom
         return None
     found = _NAME.fullmatch(text)
     if found is None:

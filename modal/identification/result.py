@@ -34,7 +34,7 @@ from okid.excitation import Excitation
 from okid.frequency_response import FrequencyResponse
 from okid.markov import MarkovParameters
 from okid.observer import ObserverFit
-from okid.readers.guard import check_file, foreign, sound_archive
+from okid.readers.guard import Existing, check_file, foreign, new_file, sound_archive
 from okid.record import Record
 from okid.residuals import ResidualCheck
 
@@ -141,7 +141,7 @@ class Identification(Displayed):
         """What knows the names and units of inputs and outputs: the first record, or the table."""
         return self.records[0] if self.response is None else self.response
 
-    def save(self, path: str | Path, *, existing: Literal["refuse", "replace"] = "refuse") -> Path:
+    def save(self, path: str | Path, *, existing: Existing = "refuse") -> Path:
         """Write all of it into one file without pickle; `modal.load` reads it back bit for bit.
 
         Args:
@@ -156,9 +156,6 @@ class Identification(Displayed):
         """
         return save(self, path, existing=existing)
 
-
-Existing = Literal["refuse", "replace"]
-"""What to do with a file that is already there."""
 
 SCHEMA_VERSION = 1
 """Raised when a field changes its meaning; a new field with a default does not need it."""
@@ -196,12 +193,6 @@ def write_parts(
     Parts with which the arrays would take more than `most` bytes, each counted once, are left out, but for the first.
     """
     path = Path(path)
-    if existing not in get_args(Existing):
-        raise InvalidDataError(f"existing must be one of {', '.join(get_args(Existing))}, but is {existing!r}.")
-    if path.is_dir() or (existing == "refuse" and path.exists()):
-        raise InvalidDataError(f"{path} exists already; choose another name, or pass existing='replace' for a file.")
-    if not path.parent.is_dir():
-        raise InvalidDataError(f"the folder {path.parent} does not exist; make it first.")
     arrays: dict[int, tuple[str, npt.NDArray[Any]]] = {}
     encoded: dict[str, Any] = {}
     for name, part in parts.items():
@@ -210,15 +201,8 @@ def write_parts(
         if not encoded or sum(array.nbytes for _, array in with_it.values()) <= most:
             encoded[name], arrays = document, with_it
     text = json.dumps({"schema": SCHEMA_VERSION, **encoded}, allow_nan=False)
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        try:
-            _write(unfinished, text, dict(arrays.values()))
-            unfinished.replace(path)
-        finally:
-            unfinished.unlink(missing_ok=True)
-    except OSError as error:
-        raise InvalidDataError(f"{path} cannot be written ({error.strerror or error}); use another place.") from error
+    with new_file(path, existing) as part:
+        _write(part, text, dict(arrays.values()))
     return path
 
 

@@ -15,19 +15,10 @@ from modal.wording.text import number
 from okid.arrays import FloatArray
 from okid.record import Record
 
-MOST_OCTAVES = 8
-"""Cut the spectrum into at most so many octaves."""
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class GapBand:
-    """The frequencies low < f <= high.
-
-    Attributes:
-        name: what a person calls it.
-        low: [Hz].
-        high: [Hz].
-    """
+    """The frequencies low < f <= high."""
 
     name: str
     low: float
@@ -46,7 +37,7 @@ def octave_bands(highest: float, *, lowest: float = 0.0) -> tuple[GapBand, ...]:
         ['0 to 2 Hz', '2 to 4 Hz', '4 to 8 Hz']
     """
     edges = [highest]
-    while len(edges) < MOST_OCTAVES and edges[-1] / 2.0 > lowest:
+    while len(edges) < 8 and edges[-1] / 2.0 > lowest:
         edges.append(edges[-1] / 2.0)
     return tuple(_between(low, high) for low, high in pairwise([0.0, *reversed(edges)]))
 
@@ -104,8 +95,6 @@ def _hertz(frequency: float) -> str:
 
 IntArray = npt.NDArray[np.int64]
 
-MOST_CELLS = 2048
-"""Cut the spectrum that all records share into at most so many cells."""
 ON_EDGE = 1e-6
 """Count a line to a band whose upper edge is relatively this near."""
 
@@ -173,7 +162,7 @@ def spectral_tables(
         bands: that do not overlap.
     """
     nyquist = 0.5 / simulated[0].dt
-    n_cells = max(1, min(MOST_CELLS, *(record.n_samples // 2 for record in simulated)))
+    n_cells = max(1, min(2048, *(record.n_samples // 2 for record in simulated)))
     parts = [
         _Spectrum.of(record, residual, bands, n_cells) for record, residual in zip(simulated, residuals, strict=True)
     ]

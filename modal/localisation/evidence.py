@@ -31,8 +31,6 @@ N_SEGMENTS = 8
 """Average spectra over so many segments of a record, half overlapping."""
 INDEPENDENT = 0.6
 """Count half-overlapping Hann segments as this share of independent ones (Welch)."""
-MOST_CELLS = 512
-"""Look for the narrowest interval among at most so many cells."""
 LINE_REACH = 2
 """Sum a line over so many cells on either side: a record of any length spreads it over these."""
 ONE_LINE = 0.7
@@ -93,7 +91,7 @@ def narrowest_interval(gap: Gap, outputs: Sequence[int], *, share: float = 0.8) 
     if not total > 0.0:
         return None
     top = 1 + int(np.argmax(np.cumsum(cells) >= 0.999 * total))
-    step = -(-top // MOST_CELLS)
+    step = -(-top // 512)
     edges = np.minimum(np.arange(0, top + step, step), cells.size)
     sums = np.concatenate([[0.0], np.cumsum(cells)])[edges]
     inside = sums[np.newaxis, :] - sums[:, np.newaxis]

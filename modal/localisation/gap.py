@@ -35,10 +35,6 @@ BEYOND_CHANCE = 4.0
 """Believe a change, a line or a gap by more standard deviations than this: many are looked at."""
 TIME_FACTOR = 2.0
 """Say nothing of a ratio of mean squares along a record below this."""
-N_WINDOWS = 8
-"""Cut each record into so many consecutive windows of equal length."""
-FEWEST_WINDOWS = 6
-"""Look for growth in time over no fewer windows."""
 BUILD_UP = 0.25
 """Let a gap take this share of a record to build up from equal states."""
 
@@ -62,7 +58,7 @@ def time_trend(windows: WindowTable) -> TimeTrend | None:
     """Whether the gap grows within the records; None with fewer than six windows or where one has no gap."""
     gap, output = _pooled(windows)
     n_windows = gap.shape[1]
-    if n_windows < FEWEST_WINDOWS or not ((gap > 0.0) & (output > 0.0)).all():
+    if n_windows < 6 or not ((gap > 0.0) & (output > 0.0)).all():
         return None
     whole = _curve(np.log(gap), np.log(output))
     later = slice(round(BUILD_UP * n_windows), None)
@@ -417,7 +413,7 @@ def measure_gap(measured: Record | Sequence[Record], simulated: Record | Sequenc
     longest = max(record.duration for record in several)
     octaves = octave_bands(0.5 / several[0].dt, lowest=min(4.0 / longest, 0.25 / several[0].dt))
     constant, by_band, by_cell = spectral_tables(others, residuals, noise, octaves)
-    windows = window_table(several, residuals, N_WINDOWS)
+    windows = window_table(several, residuals, 8)
     levels, numbers, source = excitation_levels(several)
     output_trends, trend = level_trends(windows, noise, levels, numbers)
     return Gap(

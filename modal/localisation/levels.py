@@ -8,11 +8,9 @@ within a quarter of the nearest, because the states that a larger order spends o
 level's model is refined by output error; from there the neighbouring levels are refined one after the other, each from
 the model of the level before it, so that a mode is followed and not found anew.
 
-The curvature of the output error takes what is left over for noise. What a nonlinear law leaves over moves with the
-motion: over 12 realisations of a three-storey chain the frequency of its first mode scattered up to 12 times (cubic
-spring), its damping ratio up to 7 times (drag) as far as that says. So every level is also refined on its quarters,
-from its own model, and the larger of the two deviations counts: then it was 0.2 to 2.4 times for frequencies, up to 3
-times for damping ratios.
+The curvature of the output error takes what is left over for noise, but what a nonlinear law leaves over moves with
+the motion. So every level is also refined on its quarters, from its own model, and the larger of the two deviations
+counts.
 
 In free decays the level is the motion itself, and falls within one record. A record that no input drives is cut into
 windows; each is the answer to a pulse at its first sample and to its own initial state, so that ERA takes its outputs
@@ -51,13 +49,6 @@ from okid.markov import MarkovParameters
 from okid.record import Record
 from okid.rows import as_records
 
-N_WINDOWS = 6
-"""Cut a free decay into at most so many windows."""
-SHORTEST_WINDOW = 80
-"""Make no window shorter than so many samples: fewer hold too little of a slow mode beside its neighbours."""
-LONGEST_RESPONSE = 800
-"""Give ERA at most so many samples of a window: its cost grows with their cube."""
-
 
 def decay_windows(records: Sequence[Record]) -> tuple[Record, ...]:
     """Windows of equal length, each with a pulse for an input; those with missing samples are left out.
@@ -70,7 +61,7 @@ def decay_windows(records: Sequence[Record]) -> tuple[Record, ...]:
     """
     windows = []
     for record in records:
-        count = int(np.clip(record.n_samples // SHORTEST_WINDOW, 1, N_WINDOWS))
+        count = int(np.clip(record.n_samples // 80, 1, 6))  # fewer samples hold too little of a slow mode
         bare = replace(record, inputs=np.empty((record.n_samples, 0)), input_names=(), input_units=())
         for part in bare.split(*[1.0 / count] * count):
             if np.isfinite(part.outputs).all() and np.ptp(part.outputs, axis=0).all():
@@ -82,7 +73,7 @@ def decay_windows(records: Sequence[Record]) -> tuple[Record, ...]:
 
 def decay_markov(windows: Sequence[Record]) -> MarkovParameters:
     """The outputs of the first window, as those of a pulse one sample before it."""
-    answer = windows[0].outputs[:LONGEST_RESPONSE, :, np.newaxis]
+    answer = windows[0].outputs[:800, :, np.newaxis]  # its cost grows with their cube
     return MarkovParameters(system=np.concatenate([np.zeros_like(answer[:1]), answer]), dt=windows[0].dt)
 
 
@@ -177,8 +168,6 @@ N_PARTS = 4
 """Refine a level on so many parts by themselves."""
 FEWEST_PARTS = N_PARTS - 1
 """Believe no deviation from fewer parts."""
-SHORTEST_PART = 100
-"""Refine no part of fewer samples by itself."""
 LEAST_DAMPING = 1e-6
 """Drop an oscillatory pole below this damping ratio: the refinement has run into its bound."""
 
@@ -278,7 +267,7 @@ def _parts(records: Sequence[Record]) -> list[tuple[Record, ...]]:
     if len(records) >= N_PARTS:
         return [tuple(records[i::N_PARTS]) for i in range(N_PARTS)]
     pieces = -(-N_PARTS // len(records))
-    shortest = max(len(records[0].output_names), len(records[0].input_names), SHORTEST_PART)
+    shortest = max(len(records[0].output_names), len(records[0].input_names), 100)
     return [
         (part.detrended(),)
         for record in records
@@ -505,12 +494,7 @@ def _paired(best: int, fits: Sequence[LevelFit | None], reference: LevelFit, *, 
 
 
 def measured_modes(modes: Sequence[Mode], dt: float) -> list[int]:
-    """Which modes may be the structure's: no faster than the sampling, not heavily damped beside lighter ones.
-
-    Args:
-        modes: of one model.
-        dt: time step [s].
-    """
+    """Which modes may be the structure's: no faster than the sampling, not heavily damped beside lighter ones."""
     light = any(mode.kind == "oscillatory" and mode.damping_ratio <= HEAVY for mode in modes)
     return [
         k

@@ -3,8 +3,6 @@
 The realisation alone cannot say whether a mode belongs to the system: that needs the records, see
 `modal.verdict.judgement`.
 
-Accuracy indicators of modes, taken from the SVD of the data.
-
 With H(0) = O R the factors of the block Hankel matrix (a block rows, b block columns) and Psi the eigenvectors of A,
 the modal observability Om = O Psi and the modal controllability Rm = Psi^-1 R hold, mode by mode, what the *data* did
 from sample to sample. An exact mode repeats itself: block k of its column of Om is C psi lambda^k. The amplitude

@@ -54,9 +54,6 @@ def modal_basis(realisation: Realisation) -> ModalBasis:
     A pole is deadbeat when |lambda| <= 1e-3 max(1, largest |lambda|). Defective (repeated) poles do not fail: their
     left vectors are then those of the pseudo-inverse, and `separable` is False for them.
 
-    Args:
-        realisation: of any order, 0 included.
-
     Example:
         >>> model = Realisation(np.diag([0.5, 0.0]), np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1)), 0.1)
         >>> modal_basis(model).poles.real.tolist()

@@ -280,9 +280,6 @@ def numbered(modes: Iterable[Mode]) -> tuple[tuple[int, Mode], ...]:
     Within a verdict the lower frequency comes first. What a reader quotes thus has the small numbers, and a pole that
     joins or leaves the noise does not move them.
 
-    Args:
-        modes: in any order.
-
     Example:
         >>> numbered(())
         ()

@@ -1,9 +1,8 @@
 """Modes compared: overlap of their pulse responses, and sets of shapes paired, averaged and read from files.
 
-Overlap: how much of a mode's own pulse response another mode repeats, in closed form.
-
-The pulse response of a mode with residue R = c b' and discrete pole lambda is h_k = 2 Re(R lambda^k) for a pair and
-R lambda^k for a real pole, k = 0 ... L - 1. With w = 2 for a pair and 1 for a real pole,
+The overlap is how much of a mode's own pulse response another mode repeats. The pulse response of a mode with residue R
+= c b' and discrete pole lambda is h_k = 2 Re(R lambda^k) for a pair and R lambda^k for a real pole, k = 0 ... L - 1.
+With w = 2 for a pair and 1 for a real pole,
 
     <1, 2> = sum over k of trace(h1_k' h2_k)
            = w1 w2 / 2 Re[(c1' c2)(b1' b2) g(l1 l2) + (c1* c2)(b1* b2) g(conj(l1) l2)],   g(x) = (1 - x^L) / (1 - x)
@@ -12,8 +11,6 @@ R lambda^k for a real pole, k = 0 ... L - 1. With w = 2 for a pair and 1 for a r
 (' transpose, * conjugate transpose). It is 1 for the same mode only: frequency, damping, shape, participation and size
 all count, without a tolerance for any of them, and the scaling of eigenvectors cancels. Channels are made comparable
 by the scales of the records, so a change of unit changes nothing.
-
-Sets of shapes with the names of their channels: compared, paired, averaged over repeated tests, read from files.
 
 A set may come from an identification, a finite-element program or another test. Two sets are joined by the names of
 their channels, so neither their order nor channels that only one of them has matter.
@@ -373,10 +370,6 @@ def pair_modes(first: ModalModel | Shapes, second: ModalModel | Shapes) -> ModeP
     )
 
 
-DRAWS = 500
-"""Draw shapes so often for the deviation of a MAC: it is then known to some 3 %."""
-
-
 def _shape_std(shapes: ModalModel | Shapes, common: list[str]) -> FloatArray:
     """(n_common, n_modes) deviations of the components; 0 for shapes that were given, nan where not known."""
     values, names, _ = _columns(shapes)
@@ -393,7 +386,7 @@ def _assurance_std(one: ComplexArray, other: ComplexArray, std: FloatArray, othe
     rng = np.random.default_rng(0)
 
     def drawn(shapes: ComplexArray, deviations: FloatArray) -> ComplexArray:
-        real, imaginary = rng.standard_normal((2, DRAWS, *shapes.shape))
+        real, imaginary = rng.standard_normal((2, 500, *shapes.shape))  # the deviation is then known to some 3 %
         return cast("ComplexArray", shapes + deviations / np.sqrt(2.0) * (real + 1j * imaginary))
 
     a, b = drawn(one, std), drawn(other, other_std)

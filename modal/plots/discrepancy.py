@@ -8,7 +8,7 @@ import numpy as np
 from modal.discrepancy.results import Diagnosis, Hypothesis, LawCurve, Step, in_words
 from modal.localisation.gap import Gap
 from modal.plots.histories import mark_moment
-from modal.plots.layout import Chart, Key, grid_of, row_of
+from modal.plots.layout import Chart, Key, grid_of, one_panel, row_of
 from modal.plots.panels import IN_TURN, STYLE, Panel, Role, envelope
 from modal.plots.responses import density_label
 from modal.sections.discrepancy_stages import GapDensity, LevelLine, Row, Stage, gap_density
@@ -70,11 +70,6 @@ def answer_charts(stages: Sequence[Stage], *, record: int, output: int) -> tuple
     """One output as measured and as simulated, by the model as given and as found, where that as given is worst.
 
     The measured line is the wide one, so that no simulated one hides it.
-
-    Args:
-        stages: states of the model, the earliest first.
-        record: number of the held-out record.
-        output: which.
     """
     measured = stages[0].gap.measured[record]
     window = _worst_moment(stages[0].gap, record)
@@ -85,8 +80,7 @@ def answer_charts(stages: Sequence[Stage], *, record: int, output: int) -> tuple
     low, high = (float(end(np.stack([seen, *simulated]))) for end in (np.nanmin, np.nanmax))
     charts = []
     for stage, values in zip(shown, simulated, strict=True):
-        figure = grid_of(1, 1, size=(0.5 * STYLE.page, 2.6))
-        panel = figure.panels[0]
+        figure, panel = one_panel(0.5 * STYLE.page, 2.6)
         panel.line(time, seen, "measured", width=STYLE.under, opacity=STYLE.half, label="measured")
         panel.line(time, values, STAGE_ROLES[stage.kind], label="simulated")
         size = times_text(float(np.sqrt(stage.gap.in_floors.mean())))
@@ -100,12 +94,7 @@ def answer_charts(stages: Sequence[Stage], *, record: int, output: int) -> tuple
 
 
 def gap_spectra(stages: Sequence[Stage], *, outputs: Sequence[int] | None = None) -> Chart:
-    """Power spectral density of the gap of each output over that of the measured output, with the noise floor.
-
-    Args:
-        stages: states of the model, the earliest first.
-        outputs: which, all unless given.
-    """
+    """Power spectral density of the gap of each output over that of the measured output, with the noise floor."""
     records = stages[0].gap.measured
     chosen = list(range(records[0].n_outputs)) if outputs is None else list(outputs)
     figure = row_of(len(chosen), most_columns=2, width=STYLE.page, height=2.9)
@@ -157,15 +146,9 @@ def before_and_after(rows: Sequence[Row], stages: Sequence[Stage]) -> Chart:
 
 
 def hypothesis_bars(hypotheses: Sequence[Hypothesis], *, chosen: Hypothesis | None = None) -> Chart:
-    """What each set of effects leaves on held-out data, in times of the noise floor, the best first.
-
-    Args:
-        hypotheses: best first; the first eight are shown.
-        chosen: the one that the diagnosis found.
-    """
+    """What each set of effects leaves on held-out data, in times of the noise floor, the best first."""
     shown = list(hypotheses[:MOST_BARS])
-    figure = grid_of(1, 1, size=(STYLE.page, 0.95 + 0.34 * max(len(shown), 1)))
-    panel = figure.panels[0]
+    figure, panel = one_panel(STYLE.page, 0.95 + 0.34 * max(len(shown), 1))
     sizes = [times_floor(one.held_out_level) for one in shown]
     highest = max([3.0, *(size for size in sizes if np.isfinite(size))])
     start = min([0.7, *(0.8 * size for size in sizes if np.isfinite(size))])
@@ -186,8 +169,7 @@ def hypothesis_bars(hypotheses: Sequence[Hypothesis], *, chosen: Hypothesis | No
 
 def shrinking_gap(steps: Sequence[Step]) -> Chart:
     """What is left after each step, on the records fitted to and on the held-out ones, in times of the noise floor."""
-    figure = grid_of(1, 1, size=(STYLE.page, 3.2))
-    panel = figure.panels[0]
+    figure, panel = one_panel(STYLE.page, 3.2)
     place = np.arange(len(steps))
     fitted, held_out = (
         np.array([times_floor(level) for level in levels])
@@ -248,9 +230,6 @@ def draw_laws(laws: Sequence[LawCurve]) -> Chart:
 
     A law with memory has no single force at a motion: it is drawn as the loop that it ran through along the loudest
     record, and dashed as it loads from rest.
-
-    Args:
-        laws: of the found effects.
     """
     figure = row_of(len(laws), most_columns=2, width=STYLE.page if len(laws) > 1 else 6.4, height=3.6)
     for panel, law in zip(figure.panels, laws, strict=True):
@@ -295,20 +274,13 @@ def _span(law: LawCurve) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-APART = 0.012
-"""Stand the bars of two modes apart by this share of the level."""
-
-
 def modes_against_level(lines: Sequence[LevelLine]) -> Chart:
-    """Change of each frequency on the left, damping ratio on the right, both with 95 % bars.
-
-    Args:
-        lines: from `modal.sections.discrepancy_stages.level_lines`.
-    """
+    """Change of each frequency on the left, damping ratio on the right, both with 95 % bars."""
     damped = [line for line in lines if np.isfinite(line.damping).any()]
     figure = grid_of(1, 2 if damped else 1, size=(STYLE.page, 3.1))
     for place, line in enumerate(lines):
-        role, shift = IN_TURN[place % len(IN_TURN)], 1.0 + APART * (place - 0.5 * (len(lines) - 1))
+        # two bars side by side
+        role, shift = IN_TURN[place % len(IN_TURN)], 1.0 + 0.012 * (place - 0.5 * (len(lines) - 1))
         _bars(figure.panels[0], (line.levels * shift, line.change, line.change_std), role, line.name)
         if line in damped:
             _bars(figure.panels[1], (line.levels * shift, line.damping, line.damping_std), role, line.name)

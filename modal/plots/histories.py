@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from modal.plots.layout import INCH, Chart, Key, grid_of
+from modal.plots.layout import INCH, Chart, Key, grid_of, one_panel
 from modal.plots.panels import IN_TURN, STYLE, Panel, Role, envelope
 from modal.wording.text import fit_text, hertz, plot_label
 from okid.arrays import FloatArray
@@ -73,8 +73,7 @@ def residual_autocorrelation(
     residuals: ResidualCheck, *, output_names: Sequence[str] = (), n_outputs: int = 8
 ) -> Chart:
     """Autocorrelation of the one-step residual of each output, with the band in which white noise would stay."""
-    figure = grid_of(1, 1, size=(STYLE.page, 2.9))
-    panel = figure.panels[0]
+    figure, panel = one_panel(STYLE.page, 2.9)
     lags = np.arange(residuals.autocorrelation.shape[0])
     shown = min(n_outputs, residuals.autocorrelation.shape[1])
     limit = residuals.confidence_limit
@@ -139,8 +138,7 @@ def frequencies_of_records(
         verdicts: (n_modes,) "system" or "doubtful"; noise is not drawn.
         along: what the places are.
     """
-    figure = grid_of(1, 1, size=(STYLE.page, 4.2))
-    panel = figure.panels[0]
+    figure, panel = one_panel(STYLE.page, 4.2)
     kinds = np.asarray(verdicts, dtype=np.str_)
     drawn: tuple[tuple[Role, str], ...] = (("doubtful", "doubtful"), ("system", "of the system"))
     dot = _dot(np.unique(places).size)
@@ -186,11 +184,6 @@ def frequencies_in_time(tracks: Sequence[TrackLine], alarms: Sequence[float], *,
     """Frequencies of all modes, and what is left of each without the causes, with the alarms as upright lines.
 
     Where there are alarms, what is left is faint and its means between them stand out: the steps.
-
-    Args:
-        tracks: by frequency.
-        alarms: their times.
-        clock: times are seconds.
     """
     figure = grid_of(2, 1, size=(STYLE.page, 7.0), down=(1.5, 1.0))
     above, below = figure.panels

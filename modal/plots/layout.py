@@ -18,13 +18,7 @@ INCH: Final = 72.0
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Key:
-    """A key outside of all panels.
-
-    Attributes:
-        panel: whose lines it names.
-        below: it stands below the panels, in the middle; else above them, on the right.
-        title: words over it.
-    """
+    """A key outside of all panels."""
 
     panel: Panel
     below: bool = False
@@ -37,19 +31,9 @@ class Key:
 
 
 class Chart:
-    """Panels in rows and columns.
+    """Panels in rows and columns."""
 
-    Attributes:
-        width: [pt].
-        height: [pt].
-        rows: panels of each row, None where there is none.
-        across: widths of the columns, relative.
-        down: heights of the rows, relative.
-        key: outside of the panels.
-        title: above all.
-    """
-
-    __slots__ = ("across", "down", "height", "key", "rows", "title", "width")
+    __slots__ = ("across", "down", "height", "key", "rows", "width")
 
     def __init__(
         self,
@@ -64,7 +48,6 @@ class Chart:
         self.across = across
         self.down = down
         self.key: Key | None = None
-        self.title = ""
 
     @property
     def panels(self) -> list[Panel]:
@@ -76,8 +59,7 @@ class Chart:
         for panel in self.panels:
             panel.fix_limits()
         columns = list(zip(*self.rows, strict=True))
-        top = STYLE.gap + (STYLE.line * STYLE.head if self.title else 0.0)
-        below = STYLE.gap
+        top = below = STYLE.gap
         if self.key is not None:
             top, below = top + (not self.key.below) * self.key.height, below + self.key.below * self.key.height
         tops, heights = _spread(
@@ -102,6 +84,12 @@ def grid_of(
     """A figure of `size` inches with a panel in each of `n_rows` times `n_columns` places."""
     rows: list[list[Panel | None]] = [[Panel() for _ in range(n_columns)] for _ in range(n_rows)]
     return Chart((INCH * size[0], INCH * size[1]), rows, across=across, down=down)
+
+
+def one_panel(width: float, height: float) -> tuple[Chart, Panel]:
+    """A figure of one panel, sizes in inches, and the panel."""
+    figure = grid_of(1, 1, size=(width, height))
+    return figure, figure.panels[0]
 
 
 def row_of(n_panels: int, *, most_columns: int, width: float, height: float) -> Chart:

@@ -7,23 +7,13 @@ import numpy as np
 
 from modal.identification.result import OrderEvidence
 from modal.modes.mode import ModalModel
-from modal.plots.layout import Chart, Key, grid_of
+from modal.plots.layout import Chart, Key, one_panel
 from modal.plots.panels import STYLE, Panel, Role
 from modal.sections.discrepancy_stages import power_spectra
 from modal.verdict.stabilisation import StabilisationPoint
 from modal.wording.text import hertz
 from okid.arrays import FloatArray
 from okid.record import Record
-
-
-class OrderLimits:
-    """How much a picture of the order shows."""
-
-    MOST_POLES: Final = 4000
-    """Draw at most so many poles of all orders; of more, only those of every second, third, ... order."""
-    MOST_LEVELS: Final = 4
-    """Set the labels of modes on so many lines; where modes stand closer than that, leave some out."""
-
 
 OVERLAP_CLASSES = ((0.0, 0.5, "new"), (0.5, 0.8, "0.5 to 0.8"), (0.8, 0.95, "0.8 to 0.95"), (0.95, 1.01, "above 0.95"))
 """Overlap with the pole that it continues: (from, below, word)."""
@@ -41,8 +31,7 @@ POLE_ROLES: Final[tuple[Role, ...]] = ("noise", "doubtful", "measured", "system"
 
 def singular_values(evidence: OrderEvidence, *, limit: int = 120) -> Chart:
     """Singular values of the scaled block Hankel matrix on a log axis: kept, dropped, and where the widest gap is."""
-    figure = grid_of(1, 1, size=(5.2, 3.3))
-    panel = figure.panels[0]
+    figure, panel = one_panel(5.2, 3.3)
     values = np.asarray(evidence.singular_values)[:limit]
     if not values.size or values.max() <= 0:
         panel.word(0.5, 0.5, "no singular values are known", "muted", anchor="middle")
@@ -64,8 +53,7 @@ def singular_values(evidence: OrderEvidence, *, limit: int = 120) -> Chart:
 
 def order_fits(evidence: OrderEvidence) -> Chart:
     """Cross-validated fit against model order; a very bad one stands at the edge, an unstable one has a mark there."""
-    figure = grid_of(1, 1, size=(5.2, 3.3))
-    panel = figure.panels[0]
+    figure, panel = one_panel(5.2, 3.3)
     orders, fits = np.asarray(evidence.candidate_orders, dtype=float), np.asarray(evidence.candidate_fits, dtype=float)
     there = np.isfinite(fits)
     if not orders.size:
@@ -94,8 +82,7 @@ def stabilisation_diagram(evidence: OrderEvidence, modes: ModalModel, *, measure
         modes: of the chosen order; the system modes are marked above.
         measured: records whose mean output spectrum is drawn behind.
     """
-    figure = grid_of(1, 1, size=(STYLE.page, 4.6))
-    panel = figure.panels[0]
+    figure, panel = one_panel(STYLE.page, 4.6)
     nyquist = 0.5 / modes.dt
     highest = max([evidence.order, *(point.order for point in evidence.stabilisation)])
     frequency, power = _mean_spectrum(measured) if measured else (np.zeros(0), np.zeros(0))
@@ -120,7 +107,7 @@ def mark_modes(panel: Panel, modes: ModalModel, room: float) -> None:
     """A line for each mode of the system, its frequency above where there is room."""
     for mode, level in zip(modes.system, _levels(modes.frequencies, room), strict=True):
         panel.upright(mode.frequency, "system", width=STYLE.thin, opacity=STYLE.half)
-        if level < OrderLimits.MOST_LEVELS:
+        if level < 4:  # where modes stand closer, some are left out
             up = STYLE.line * STYLE.tick * level + STYLE.gap
             panel.word(mode.frequency, np.inf, hertz(mode.frequency), "system", anchor="middle", shift=(0.0, -up))
             panel.rows_above = max(panel.rows_above, level + 1)
@@ -133,7 +120,7 @@ def pole_classes(evidence: OrderEvidence) -> tuple[tuple[str, tuple[Stabilisatio
     """
     points = [point for point in evidence.stabilisation if np.isfinite(point.frequency)]
     orders = sorted({point.order for point in points}, reverse=True)
-    step = -(-len(points) // OrderLimits.MOST_POLES)
+    step = -(-len(points) // 4000)  # of more, those of every second, third, ... order
     kept = set(orders[:: max(1, step)])
     measure, classes, _ = colour_measure(evidence)
     return tuple(

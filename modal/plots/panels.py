@@ -216,14 +216,7 @@ class Curve:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Area:
-    """Filled polygons of one colour.
-
-    Attributes:
-        polygons: each (n, 2).
-        role: colour.
-        opacity: 1 hides what is behind.
-        label: for the key.
-    """
+    """Filled polygons of one colour."""
 
     polygons: tuple[FloatArray, ...]
     role: Role
@@ -238,16 +231,7 @@ class Area:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Segments:
-    """Many separate pieces of one style.
-
-    Attributes:
-        ends: (n, 2, 2) start and end of each, (x, y).
-        role: colour.
-        width: of the lines.
-        opacity: 1 hides what is behind.
-        label: for the key.
-        arrows: each has a head at its end.
-    """
+    """Many separate pieces of one style."""
 
     ends: FloatArray
     role: Role
@@ -264,17 +248,7 @@ class Segments:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Word:
-    """A line of words at a place of the panel.
-
-    Attributes:
-        x: of the place.
-        y: of the place; infinity is the upper edge.
-        text: the words.
-        role: colour.
-        size: of the letters.
-        anchor: which part of the words stands there.
-        shift: right and down from the place.
-    """
+    """A line of words at a place of the panel."""
 
     x: float
     y: float

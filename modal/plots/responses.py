@@ -140,23 +140,21 @@ def output_spectra(
 
 def markov_parameters(
     markov: MarkovParameters,
-    model: FloatArray | None = None,
+    model: FloatArray,
     *,
     output_names: Sequence[str] = (),
     input_names: Sequence[str] = (),
-    n_pairs: int = 6,
 ) -> Chart:
-    """Pulse responses: as recovered from the observer, and as the realisation has them.
+    """Pulse responses of the six strongest pairs, relative to the scales of their channels.
 
     Args:
-        markov: recovered.
+        markov: recovered from the observer.
         model: (n_lags + 1, n_outputs, n_inputs) of the realisation.
         output_names: one an output.
         input_names: one an input.
-        n_pairs: how many pairs to show, strongest (relative to the scales of their channels) first.
     """
     strength = np.linalg.norm(markov.system, axis=0) * markov.input_scale / markov.output_scale[:, np.newaxis]
-    pairs = _strongest_pairs(strength, n_pairs)
+    pairs = _strongest_pairs(strength, 6)
     figure = row_of(len(pairs), most_columns=3, width=STYLE.page, height=2.2)
     lag = np.arange(markov.n_lags + 1) * markov.dt
     for panel, (output, input_) in zip(figure.panels, pairs, strict=True):
@@ -168,8 +166,7 @@ def markov_parameters(
             opacity=STYLE.strong,
             label="recovered",
         )
-        if model is not None:
-            panel.line(lag[: len(model)], model[: len(lag), output, input_], "model", width=STYLE.thin, label="model")
+        panel.line(lag[: len(model)], model[: len(lag), output, input_], "model", width=STYLE.thin, label="model")
         panel.head = _pair_name(output, input_, output_names, input_names)
         panel.x.label, panel.x.limits = "lag [s]", (0.0, float(lag[-1]))
     figure.panels[0].key = "upper right"

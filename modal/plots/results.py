@@ -9,28 +9,20 @@ from typing import TYPE_CHECKING, Final, Literal, cast
 
 import numpy as np
 
-from modal.plots.layout import INCH, Chart
-from modal.plots.panels import COLOURS, STYLE, Area, Curve, Mark, Panel
-from okid.errors import InvalidDataError
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-from typing import TYPE_CHECKING
-
 from modal.geometry.scene import comparable_shapes
 from modal.identification.result import Identification
 from modal.modes.mode import Mode
 from modal.modes.response_synthesis import MeasuredFrf, frf, measured_frf, modal_frf, tabled_frf
 from modal.modes.shape_comparison import assurance as mac
 from modal.plots.histories import measured_against_simulated
-from modal.plots.layout import Key, grid_of
+from modal.plots.layout import INCH, Chart, Key, one_panel
 from modal.plots.order import mark_modes, stabilisation_diagram
-from modal.plots.panels import Role
+from modal.plots.panels import COLOURS, STYLE, Area, Curve, Mark, Panel, Role
 from modal.plots.responses import model_grid, output_spectra, response_chart
 from modal.plots.shapes import assurance_matrix, mode_shapes, shape_complexity
 from modal.sections.discrepancy_stages import power_spectra
 from okid.arrays import ComplexArray, FloatArray
+from okid.errors import InvalidDataError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -73,8 +65,6 @@ def figure_of(chart: Chart, *, axes: "Axes | Sequence[Axes] | None" = None) -> "
     for panel, one in zip(chart.panels, given, strict=True):
         _draw(panel, one)
     figure = cast("Figure", given[0].figure)
-    if chart.title:
-        figure.suptitle(chart.title, fontsize=STYLE.head)
     if chart.key is not None:
         keyed = given[chart.panels.index(chart.key.panel)]
         handles, names = keyed.get_legend_handles_labels()
@@ -170,10 +160,6 @@ class ResultLimits:
 
     MOST_SHOWN: Final = 6
     """Draw so many outputs, laws or pairs of channels at most, the worst or the strongest of them."""
-    DEEPEST: Final = 1e-10
-    """Draw power down to this part of the peak: what lies deeper is the rounding of an empty spectrum."""
-    PERIODS: Final = 10.0
-    """Show so many periods of the slowest mode in the enlarged part of a time history."""
 
 
 def stabilisation(result: Identification, *, axes: "Axes | Sequence[Axes] | None" = None) -> "Figure":
@@ -280,15 +266,14 @@ def overview(result: Identification) -> Chart:
     total[total == 0] = 1.0
     mean = [np.nanmean(power / total, axis=1) for power in (measured, model)]
     peak = max(float(np.nanmax(mean[0], initial=0.0)), np.finfo(float).tiny)
-    figure = grid_of(1, 1, size=(STYLE.page, 2.6))
-    panel = figure.panels[0]
+    figure, panel = one_panel(STYLE.page, 2.6)
     seen, lowest = frequency >= low, 0.0
     lines: tuple[tuple[FloatArray, Role, float], ...] = (
         (mean[0], "measured", STYLE.under),
         (mean[1], "model", STYLE.thin),
     )
     for power, role, width in lines:
-        level = 10.0 * np.log10(np.maximum(power[seen] / peak, ResultLimits.DEEPEST))
+        level = 10.0 * np.log10(np.maximum(power[seen] / peak, 1e-10))  # deeper lies the rounding of an empty spectrum
         lowest = min(lowest, float(np.nanmin(level, initial=0.0))) if role == "measured" else lowest
         panel.line(frequency[seen], level, role, width=width, label=role)
     doubtful = [mode for mode in result.modes if mode.verdict == "doubtful" and mode.kind == "oscillatory"]
@@ -313,7 +298,7 @@ def fit_chart(result: Identification) -> Chart:
         result.simulated[0],
         outputs=least_fitted(result),
         fits=result.fit.cross_validated,
-        detail=None if slowest is None else ResultLimits.PERIODS / slowest,
+        detail=None if slowest is None else 10.0 / slowest,  # periods of the slowest mode
     )
 
 

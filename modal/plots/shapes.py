@@ -13,7 +13,7 @@ from modal.geometry.placement import at_rest, guessed_grid, placed, stated_dofs
 from modal.geometry.scene import Scene, scene_of
 from modal.geometry.sensors import Geometry
 from modal.modes.mode import Mode
-from modal.plots.layout import Chart, grid_of, row_of
+from modal.plots.layout import Chart, one_panel, row_of
 from modal.plots.panels import STYLE, Panel, Role, text_width
 from modal.wording.text import hertz, plot_label
 from okid.arrays import ComplexArray, FloatArray
@@ -23,18 +23,11 @@ class ShapeLimits:
     """How much of a structure one picture shows."""
 
     MOST_SEGMENTS: Final = 3000
-    MOST_TRIANGLES: Final = 3000
-    """Draw at most so many lines and triangles in one panel, so that a picture of thousands of nodes stays light."""
+    """Draw at most so many lines in one panel, and as many triangles: a picture of thousands of nodes stays light."""
     MOST_COLUMNS: Final = 6
-    MOST_NAMES: Final = 24
-    """Stand so many panels in a row and so many names of outputs beside a stick."""
-    LEAST_IMAGINARY: Final = 0.05
-    """Draw the imaginary part of a shape where it exceeds this, of the greatest component."""
-    MOST_ARROWS: Final = 300
+    """Stand so many panels in a row."""
     MOST_DOTS: Final = 1000
-    MOST_NAMED: Final = 120
-    MOST_LARGE: Final = 40
-    """Show at most so many arrows, dots, names and large dots in one picture."""
+    """Show at most so many dots in one picture."""
 
 
 NAME_SIZE: Final = 7.5
@@ -43,12 +36,7 @@ NAME_SIZE: Final = 7.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Viewport:
-    """The part of the flat picture that holds everything.
-
-    Attributes:
-        low: (2,) left and bottom.
-        high: (2,) right and top.
-    """
+    """The part of the flat picture that holds everything."""
 
     low: FloatArray
     high: FloatArray
@@ -89,7 +77,7 @@ def draw_lines(
 
 def draw_surfaces(panel: Panel, scene: Scene, positions: FloatArray, role: Role, *, opacity: float) -> None:
     """The surfaces of the structure, those behind first."""
-    triangles = scene.triangles[:: -(-len(scene.triangles) // ShapeLimits.MOST_TRIANGLES) or 1]
+    triangles = scene.triangles[:: -(-len(scene.triangles) // ShapeLimits.MOST_SEGMENTS) or 1]
     if not len(triangles):
         return
     depth = (positions @ scene.eye.towards)[triangles].mean(axis=1)
@@ -130,37 +118,23 @@ def place_labels(
                 break
 
 
-TALLEST = 4.2
-"""Draw at most so tall [in]: a page shows a structure about 3.5 inches tall, and smaller names cannot be read."""
-ARROW = 0.24
-"""Draw a sensor's arrow this long, in half the largest extent."""
-
-
 def mode_shapes(
     modes: Sequence[Mode],
     *,
     output_names: Sequence[str],
     output_units: Sequence[str] = (),
     geometry: Geometry | None = None,
-    title: str = "",
 ) -> Chart:
     """Every mode on the geometry, at rest and at both ends of its motion, all seen from the same side.
 
     A shape is turned to its best real phase. Without a geometry, and where the names state no nodes, it is a stick
     picture: sensors from bottom to top in their order, deflection to both sides, what is left (imaginary) dotted.
 
-    Args:
-        modes: one a panel.
-        output_names: of the channels.
-        output_units: of the channels; all alike unless given.
-        geometry: where they are.
-        title: above all.
-
     Raises:
         InvalidDataError: no output has a place in the geometry.
     """
     if geometry is None and not stated_dofs(output_names) and not guessed_grid(output_names, output_units):
-        return _in_a_row(modes, output_names=output_names, title=title)
+        return _in_a_row(modes, output_names)
     scene = scene_of(placed(geometry, output_names, output_units))
     motions = [scene.motion(mode).real for mode in modes]
     rest = scene.positions
@@ -177,16 +151,11 @@ def mode_shapes(
         _draw_points(panel, scene, rest + motion, mode.verdict)
         frame.put(panel)
         panel.head, panel.centred = f"{hertz(mode.frequency)} Hz", True
-    figure.title = plot_label(title, limit=80)
     return figure
 
 
 def geometry_picture(geometry: Geometry, *, output_names: Sequence[str] = ()) -> Chart:
     """The structure at rest: nodes with their names, lines, surfaces, and an arrow for each sensor.
-
-    Args:
-        geometry: what to draw.
-        output_names: channels whose sensors are drawn; those of the geometry's own sensors unless given.
 
     Raises:
         InvalidDataError: output names were given, and none of them has a place in the geometry.
@@ -194,19 +163,19 @@ def geometry_picture(geometry: Geometry, *, output_names: Sequence[str] = ()) ->
     names = list(output_names) or [sensor.name for sensor in geometry.sensors]
     scene = scene_of(placed(geometry, names) if names else at_rest(geometry))
     rest = scene.positions
-    arrows = [(rest[one.node], ARROW * one.direction) for one in scene.placement.sensors if one is not None]
+    # half the largest extent is 1
+    arrows = [(rest[one.node], 0.24 * one.direction) for one in scene.placement.sensors if one is not None]
     frame = frame_of(scene, [rest, *((tail + arrow)[np.newaxis] for tail, arrow in arrows)])
     width = float(np.clip(4.2 / frame.aspect, 2.6, 7.5))
-    height = min(width * frame.aspect, TALLEST)
-    figure = grid_of(1, 1, size=(width, height))
-    panel = figure.panels[0]
+    height = min(width * frame.aspect, 4.2)  # a page shows about 3.5 inches
+    figure, panel = one_panel(width, height)
     draw_surfaces(panel, scene, rest, "measured", opacity=STYLE.faint)
     draw_lines(panel, scene, rest, "muted", width=STYLE.stroke)
-    ends = [scene.eye.seen(np.array([tail, tail + arrow])) for tail, arrow in arrows[: ShapeLimits.MOST_ARROWS]]
+    ends = [scene.eye.seen(np.array([tail, tail + arrow])) for tail, arrow in arrows[:300]]  # of more, the first
     panel.segments(ends, "model", arrows=True)
     _draw_points(panel, scene, rest, "measured")
     frame.put(panel)
-    if geometry.n_nodes <= ShapeLimits.MOST_NAMED:
+    if geometry.n_nodes <= 120:  # more names would cover the picture
         texts = [plot_label(name, limit=12) for name in geometry.node_names]
         place_labels(panel, frame, scene.eye.seen(rest), texts, size=(width, height))
     return figure
@@ -229,14 +198,14 @@ def _draw_points(panel: Panel, scene: Scene, positions: FloatArray, role: Role) 
             seen[measured, 0],
             seen[measured, 1],
             role,
-            dot=STYLE.dot if len(measured) <= ShapeLimits.MOST_LARGE else 3.5,
+            dot=STYLE.dot if len(measured) <= 40 else 3.5,
         )
     fixed = list(scene.placement.geometry.fixed)
     if 0 < len(fixed) <= ShapeLimits.MOST_DOTS:
         panel.dots(seen[fixed, 0], seen[fixed, 1], "muted", dot=5.5, square=True)
 
 
-def _in_a_row(modes: Sequence[Mode], *, output_names: Sequence[str], title: str) -> Chart:
+def _in_a_row(modes: Sequence[Mode], output_names: Sequence[str]) -> Chart:
     height = float(np.clip(0.26 * len(output_names) + 1.4, 2.4, 6.5))
     figure = row_of(len(modes), most_columns=ShapeLimits.MOST_COLUMNS, width=STYLE.page, height=height)
     place = np.arange(1, len(output_names) + 1)
@@ -248,15 +217,14 @@ def _in_a_row(modes: Sequence[Mode], *, output_names: Sequence[str], title: str)
         panel.polygons([np.concatenate(sides)], mode.verdict, opacity=STYLE.faint)
         panel.line(-shape.real, place, mode.verdict, width=STYLE.thin, opacity=STYLE.half)
         panel.line(shape.real, place, mode.verdict, width=STYLE.thick, dot=STYLE.dot)
-        if np.abs(shape.imag).max() > ShapeLimits.LEAST_IMAGINARY:
+        if np.abs(shape.imag).max() > 0.05:  # of the greatest component
             panel.line(shape.imag, place, "muted", dash="dotted")
         panel.head, panel.centred = f"{hertz(mode.frequency)} Hz", True
         panel.x.limits, panel.y.limits = (-1.18, 1.18), (0.4, len(output_names) + 0.6)
         panel.x.ticks = [(-1.0, "−1"), (0.0, "0"), (1.0, "1")]
-        panel.y.ticks = labels[:: -(-len(labels) // ShapeLimits.MOST_NAMES)]
+        panel.y.ticks = labels[:: -(-len(labels) // 24)]
         panel.y.labelled, panel.edges = index % ShapeLimits.MOST_COLUMNS == 0, "below"
         panel.x.grid = panel.y.grid = False
-    figure.title = plot_label(title, limit=80)
     return figure
 
 
@@ -286,8 +254,7 @@ def assurance_matrix(matrix: FloatArray, frequencies: Sequence[float]) -> Chart:
     """
     n_modes = len(frequencies)
     side = float(np.clip(0.55 * n_modes + 1.3, 2.6, 7.5))
-    figure = grid_of(1, 1, size=(side + 0.3, side))
-    panel = figure.panels[0]
+    figure, panel = one_panel(side + 0.3, side)
     for row in range(n_modes):
         for column in range(n_modes):
             value = float(np.clip(matrix[row, column], 0.0, 1.0))

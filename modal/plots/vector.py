@@ -36,10 +36,6 @@ def svg_text(figure: Chart, *, name: str, description: str) -> str:
     parts = [f'<svg role="img" aria-label="{said}" viewBox="0 0 {size}">']
     for number, panel in enumerate(figure.panels):
         parts += _panel(panel, name, number)
-    if figure.title:
-        parts.append(
-            _words(figure.width / 2, STYLE.head + STYLE.gap, figure.title, "ink", size=STYLE.head, anchor="middle")
-        )
     if figure.key is not None:
         title = f' data-title="{html.escape(figure.key.title)}"' if figure.key.title else ""
         parts += [f'<g class="key"{title}>', *_outer_key(figure, figure.key), "</g>"]

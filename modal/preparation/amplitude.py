@@ -39,7 +39,6 @@ from modal.preparation.channel import (
     channels_of,
     named,
     spoken,
-    where_found,
 )
 from modal.wording.text import percent
 from okid.arrays import BoolArray, FloatArray
@@ -55,9 +54,6 @@ MORE_OFTEN = 5
 
 FEWEST_VISITS = 3
 """Call a channel clipped that comes to its limit so often; one that settles there comes once."""
-
-FAR_APART = 100
-"""Values that lie so many of the closest distances apart are equal by chance once in a hundred."""
 
 BAD_NOISE = 0.3
 """Call rounding noise bad from so many standard deviations of the channel: about one level a standard deviation."""
@@ -81,11 +77,8 @@ LIMITED_TERMS = 12
 ANGLES = 0.5 * np.pi * np.linspace(-1.0, 1.0, 2001)
 """Tabulate the autocorrelation after a distortion at the sines of these angles of that before it."""
 
-LIMITED_SEGMENT = 2048
-"""Resolve the spectrum of a clipped channel by segments of so many rows, or of its longest record."""
 
-
-def clipping_findings(channel: Channel, n_records: int, *, left_out: bool = False) -> list[Finding]:
+def clipping_findings(channel: Channel, *, left_out: bool = False) -> list[Finding]:
     """Clipping at the upper, the lower or both ends; `left_out` says that the samples are no longer used."""
     if channel.std == 0.0:
         return []
@@ -114,12 +107,10 @@ def clipping_findings(channel: Channel, n_records: int, *, left_out: bool = Fals
             "is not known; compare with the source."
         )
     return [
-        Finding(
+        channel.finding(
             level="note" if channel.role == "input" else "bad" if share >= SPOILED else "doubtful",
             what="clipped",
-            where=where_found(channel.name, spans, n_records),
             sentence=head + rest,
-            channels=(channel.name,),
             spans=spans,
             share=share,
         )
@@ -243,7 +234,7 @@ def _stepped(channel: Channel) -> tuple[float, FloatArray] | None:
 
 def _power(channel: Channel) -> tuple[FloatArray, FloatArray]:
     """Frequencies [Hz], and the power there of segments that overlap by half, what is missing taken for the mean."""
-    n = min(LIMITED_SEGMENT, 2 * (max(len(part) for part in channel.parts) // 2))
+    n = min(2048, 2 * (max(len(part) for part in channel.parts) // 2))
     window, power = np.hanning(n + 2)[1:-1], np.zeros(n // 2 + 1)
     for part in channel.parts:
         for start in range(0, len(part) - n + 1, n // 2):
@@ -278,7 +269,7 @@ def _stands_alone(channel: Channel, values: FloatArray, counts: np.ndarray) -> b
         return False
     gaps = np.diff(np.unique(np.concatenate(channel.parts)))
     gaps = gaps[gaps > ROUNDING * channel.extent]
-    return bool(np.diff(values[1:]).mean() <= -FAR_APART * gaps.min(initial=np.inf))
+    return bool(np.diff(values[1:]).mean() <= -100 * gaps.min(initial=np.inf))  # equal by chance once in a hundred
 
 
 def _outermost(channel: Channel, sign: float) -> tuple[FloatArray, np.ndarray]:
@@ -352,7 +343,7 @@ def resolution_of(channel: Channel) -> float:
     return step if on_grid.all() and (enough or multiples.max() < 1.5) else float("nan")
 
 
-def resolution_findings(channel: Channel, resolution: float, n_records: int) -> list[Finding]:
+def resolution_findings(channel: Channel, resolution: float) -> list[Finding]:
     """Rounding noise that is a notable part of an output; the levels of an input are what they are."""
     if channel.role == "input" or not np.isfinite(resolution):
         return []
@@ -361,37 +352,33 @@ def resolution_findings(channel: Channel, resolution: float, n_records: int) -> 
         return []
     n_levels = round(channel.extent / resolution) + 1
     return [
-        Finding(
+        channel.finding(
             level="bad" if noise >= BAD_NOISE else "doubtful",
             what="coarse",
-            where=where_found(channel.name, (), n_records),
             sentence=f"output {named(channel.name)} moves over {n_levels} levels only, {channel.value(resolution)} "
             f"apart: rounding alone adds noise of {percent(noise)} of its motion; use a smaller range or a more "
             "sensitive sensor.",
-            channels=(channel.name,),
             share=float(noise),
         )
     ]
 
 
-def constant_findings(channel: Channel, n_records: int) -> list[Finding]:
+def constant_findings(channel: Channel) -> list[Finding]:
     """The channel never moves by more than its last digit."""
     if channel.std > 0.0:
         return []
     return [
-        Finding(
+        channel.finding(
             level="bad",
             what="constant",
-            where=where_found(channel.name, (), n_records),
             sentence=f"{channel.role} {named(channel.name)} never moves (always {channel.value(channel.mean)}): it is "
             "dead, unplugged or not recorded; leave it out.",
-            channels=(channel.name,),
             share=1.0,
         )
     ]
 
 
-def repeat_findings(channel: Channel, n_records: int) -> list[Finding]:
+def repeat_findings(channel: Channel) -> list[Finding]:
     """Every value stands two or more times in a row: the sensor is slower than the recorder."""
     if channel.role == "input" or channel.std == 0.0:
         return []
@@ -403,14 +390,12 @@ def repeat_findings(channel: Channel, n_records: int) -> list[Finding]:
     if times < 2 or share < NEARLY_ALL:
         return []
     return [
-        Finding(
+        channel.finding(
             level="doubtful",
             what="repeated samples",
-            where=where_found(channel.name, (), n_records),
             sentence=f"output {named(channel.name)} holds each value for {times} samples: it was taken at "
             f"{spoken(1 / (times * channel.dt))} Hz only and held in between, which looks like a delay and an "
             f"attenuation; keep one row in {times} of the record.",
-            channels=(channel.name,),
             share=share,
         )
     ]
@@ -445,10 +430,9 @@ def stuck_findings(channel: Channel, records: Sequence[Record], resolution: floa
     value = channel.value(float(channel.parts[first[0]][first[1]]))
     many = f"{len(found)} times, first " if len(found) > 1 else ""
     return [
-        Finding(
+        channel.finding(
             level="bad" if share >= NOTABLE and channel.role == "output" else "doubtful",
             what="stuck",
-            where=where_found(channel.name, spans, len(records)),
             sentence=f"{channel.role} {named(channel.name)} freezes {many}at {value} from {spans[0][1]:.6g} to "
             f"{spans[0][2]:.6g} s, {percent(share)} of its samples in all: "
             + (
@@ -458,7 +442,6 @@ def stuck_findings(channel: Channel, records: Sequence[Record], resolution: floa
                 else "it stops and comes back within one sample, so samples were lost or the sensor dropped out; "
                 "mark them as missing (empty cells), or cut the record there."
             ),
-            channels=(channel.name,),
             spans=spans,
             share=share,
         )

@@ -21,8 +21,6 @@ COHERENT = 0.3
 """Multiple coherence from which on an output counts as following the inputs."""
 COHERENT_POWER = 0.9999
 """Share of each output's coherent power that the band must hold: a mode left out moves less than 1 % of any output."""
-FEWEST_SAMPLES = 500
-"""A record is not decimated to fewer samples than this."""
 LENGTHS = (64, 256, 1024)
 """Look at so many rows after each blow: an answer stands out most over as many rows as it takes."""
 NEIGHBOURS = 8
@@ -51,9 +49,6 @@ class Band:
 
 def coherent_band(records: Sequence[Record]) -> Band:
     """The band in which at least one output follows the inputs.
-
-    Args:
-        records: of one system, means removed.
 
     Example:
         >>> force = np.random.default_rng(0).standard_normal(2000)
@@ -104,7 +99,7 @@ def coherent_band(records: Sequence[Record]) -> Band:
 def _factor(records: Sequence[Record], upper: float) -> int:
     """That leaves a fifth of the new band above the upper frequency, and enough samples."""
     total = sum(record.n_samples for record in records)
-    factor = max(1, min(int(0.5 / records[0].dt / (1.25 * upper)), total // FEWEST_SAMPLES))
+    factor = max(1, min(int(0.5 / records[0].dt / (1.25 * upper)), total // 500))  # no fewer samples
     while factor > 1 and any(record.n_samples < 60 * factor for record in records):
         factor -= 1
     return factor

@@ -51,9 +51,6 @@ NEARLY_ALL = 0.9
 MOST_SPANS = 200
 """List so many places in a finding; its sentence counts all of them."""
 
-_GROUP_VALUES = 4 * CHUNK_VALUES
-"""Copy so many values of neighbouring channels at a time: 64 MiB, or one channel where that is longer."""
-
 Level = Literal["bad", "doubtful", "note"]
 """bad: what is found spoils a result; doubtful: look at it before believing one; note: good to know."""
 
@@ -144,16 +141,19 @@ class Channel:
         """A number with the channel's unit."""
         return f"{number:.4g} {self.unit}".rstrip()
 
+    def finding(
+        self, *, level: Level, what: str, sentence: str, spans: tuple[Span, ...] = (), share: float = float("nan")
+    ) -> Finding:
+        """What was found in this channel alone."""
+        where = where_found(self.name, spans, len(self.parts))
+        names = (self.name,)
+        return Finding(level=level, what=what, where=where, sentence=sentence, channels=names, spans=spans, share=share)
+
 
 def channels_of(records: Sequence[Record], scaling: ChannelScaling) -> Iterator[Channel]:
-    """Inputs, then outputs, one after the other; a few neighbours are copied at a time, so a mapped file stays there.
-
-    Args:
-        records: of one system.
-        scaling: their means and sizes.
-    """
+    """Inputs, then outputs, one after the other; a few neighbours are copied at a time: a mapped file stays there."""
     longest = sum(record.n_samples for record in records)
-    step = max(1, min(8, _GROUP_VALUES // longest))
+    step = max(1, min(8, 4 * CHUNK_VALUES // longest))  # 64 MiB
     first = records[0]
     for role, names, units, means, scales, constant in (
         ("input", first.input_names, first.input_units, scaling.input_mean, scaling.input_scale,

@@ -75,9 +75,6 @@ def choose_input_delay(records: Sequence[Record]) -> InputDelay:
     while the input has not acted. Where no lag of an input is significant its delay may be longer than the observer:
     it is shifted by half of it and looked at again.
 
-    Args:
-        records: of one system, means removed, at the time step that the model will have.
-
     Example:
         >>> rng = np.random.default_rng(0)
         >>> force = rng.standard_normal(600)
@@ -324,11 +321,7 @@ def _real_delay(angular: FloatArray, doubled: FloatArray, taken: int, turns: Seq
 
 
 def pulse_steps(records: Sequence[Record]) -> FloatArray:
-    """(order + 1, n_outputs, n_inputs) how far the pulse responses of a long observer move from lag to lag.
-
-    Args:
-        records: of one system, means removed.
-    """
+    """(order + 1, n_outputs, n_inputs) how far the pulse responses of a long observer move from lag to lag."""
     order = observer_order(records)
     fit = solve(lag_gram(records, order, scaling=channel_scaling(records)), RIDGE)
     pulse = recover_system(fit.feedthrough, fit.input_coefficients, fit.output_coefficients, order)

@@ -25,8 +25,6 @@ CANDIDATES = (0, 1, 2, 3, 4, 6, 8, 12)
 """Numbers of slow functions besides the constant: a straight line, a parabola, then half-waves over the record."""
 SAMPLES_PER_FUNCTION = 40
 """A record shorter than this many samples a function gets fewer functions."""
-SLOW_SAMPLES = 600
-"""Blocks over which the remainders are averaged: fast noise goes, drift stays."""
 N_FOLDS = 5
 HELD_OUT = 4
 """Blocks side by side that are held out together."""
@@ -132,10 +130,6 @@ class FreedTrials:
 
 def choose_drift(records: Sequence[Record], *, trials: FreedTrials | None = None) -> Drift:
     """The fewest slow functions that are needed beside a model's free run on held-out rows.
-
-    Args:
-        records: of one system, no input missing.
-        trials: of the same records, for a caller who has made some of these models.
 
     Example:
         >>> rng = np.random.default_rng(0)
@@ -288,7 +282,7 @@ def summed_inputs(record: Record, number: int) -> Record:
 def slow_motion(left: Sequence[FloatArray]) -> tuple[SlowMotion, ...]:
     """Block means of (n_samples, n_outputs) a record; of many short ones the longest still holds two groups."""
     lengths = [len(one) for one in left]
-    n_rows = max(1, min(sum(lengths) // SLOW_SAMPLES, max(lengths) // (2 * HELD_OUT)))
+    n_rows = max(1, min(sum(lengths) // 600, max(lengths) // (2 * HELD_OUT)))  # fast noise goes, drift stays
     motion = []
     for values in left:
         n_blocks = len(values) // n_rows

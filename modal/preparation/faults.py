@@ -33,8 +33,6 @@ from okid.scaling import channel_scaling
 
 FINEST = 1e-4
 """Take no output for finer than this share of its size, 13 bits of what moves: sensors and converters are not."""
-PAST = 32
-"""Foretell outputs by so many samples of their past,"""
 ROWS_A_NUMBER = 10
 """or fewer where there are not so many rows for each of them."""
 MOST_TOLD = 4
@@ -43,12 +41,7 @@ MOST_TOLD = 4
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Mended:
-    """Records without dead outputs, spikes missing.
-
-    Attributes:
-        records: the very records that came where nothing is wrong.
-        warnings: a sentence for each fault.
-    """
+    """Records without dead outputs, spikes missing."""
 
     records: tuple[Record, ...]
     warnings: tuple[str, ...]
@@ -78,13 +71,13 @@ def mended(records: Sequence[Record], *, driven: bool = False) -> Mended:
             told.setdefault("spikes", []).append(spiked)
         left_out = driven and channel.role == "output"
         limited = without_spikes(channel, [(i, int(k)) for i, own in enumerate(gone) for k in np.flatnonzero(own)])
-        clipped = clipping_findings(limited, len(kept), left_out=left_out)
+        clipped = clipping_findings(limited, left_out=left_out)
         if clipped and left_out:
             gone = [one | more for one, more in zip(gone, clipped_samples(limited), strict=True)]
         if channel.role == "output":
             for mask, own in zip(masks, gone, strict=True):
                 mask[:, channel.index] = own
-        more = [*clipped, *resolution_findings(channel, resolution, len(kept))]
+        more = [*clipped, *resolution_findings(channel, resolution)]
         more += [] if clipped else stuck_findings(channel, kept, resolution)
         for f in more:
             if f.level != "note":
@@ -103,9 +96,6 @@ def no_finer_than_sensors(records: Sequence[Record]) -> tuple[tuple[Record, ...]
     What fewer forces drive than there are sensors, or forces behind a steep filter, has combinations without any
     innovation once there is no noise: no model with noise is likely then, and one that fits rounding is sure of it all.
 
-    Args:
-        records: without inputs.
-
     Example:
         >>> tip = np.convolve(np.random.default_rng(0).standard_normal(4000), [1.0, 1.6, 1.5, 0.8])
         >>> noisy, choices = no_finer_than_sensors([Record([], np.column_stack([tip, 2.0 * tip]), 0.01)])
@@ -115,7 +105,7 @@ def no_finer_than_sensors(records: Sequence[Record]) -> tuple[tuple[Record, ...]
     scaling, q = channel_scaling(records), records[0].n_outputs
     n_rows = sum(int(record.complete_rows().sum()) for record in records)
     try:
-        gram = lag_gram(records, max(1, min(PAST, n_rows // (ROWS_A_NUMBER * q))), scaling=scaling)
+        gram = lag_gram(records, max(1, min(32, n_rows // (ROWS_A_NUMBER * q))), scaling=scaling)
     except InsufficientDataError:
         return tuple(records), ()
     if gram.n_rows <= 2 * q * gram.order:  # so much is missing that the past of hardly a row is whole
@@ -207,7 +197,7 @@ def _spikes(
 ) -> tuple[str, list[BoolArray]]:
     """A sentence on the spikes of a channel, and where they are; nothing where they are not worth one."""
     found, largest = spikes_of(channel, resolution, sharp)
-    spiked = spike_findings(channel, resolution, sharp, len(records)) if found else []
+    spiked = spike_findings(channel, resolution, sharp) if found else []
     masks = [np.zeros(record.n_samples, dtype=np.bool_) for record in records]
     if all(finding.level == "note" for finding in spiked):
         return "", masks
@@ -223,18 +213,12 @@ def _spikes(
 
 
 def spoiled_channels(records: Record | Sequence[Record]) -> tuple[Finding, ...]:
-    """What `modal.check_quality` finds of dead, clipped and spiked channels, without the price of spectra.
-
-    Args:
-        records: one record or several of one system.
-    """
-    several = as_records(records)
-    n = len(several)
+    """What `modal.check_quality` finds of dead, clipped and spiked channels, without the price of spectra."""
     findings: list[Finding] = []
-    for channel, resolution, sharp in _looked(several):
+    for channel, resolution, sharp in _looked(as_records(records)):
         limited = without_spikes(channel, spikes_of(channel, resolution, sharp)[0])
-        findings += [*constant_findings(channel, n), *clipping_findings(limited, n)]
-        findings += spike_findings(channel, resolution, sharp, n)
+        findings += [*constant_findings(channel), *clipping_findings(limited)]
+        findings += spike_findings(channel, resolution, sharp)
     return tuple(sorted(findings, key=lambda finding: LEVELS.index(finding.level)))
 
 

@@ -22,14 +22,9 @@ from okid.record import Record
 from okid.rows import usable_rows
 from okid.scaling import channel_scaling
 
-LOOK_BACK = 64
-"""Observer order at which whole rows are counted."""
 LEAST_ROWS = 0.75
 """Share of the rows that gaps must leave at that order; below it they are filled."""
-PULSE_LAGS = 128
-"""Most lags of the first model's pulse response."""
 FIRST_RIDGE = 1e-3
-ROUNDS = 8
 NEIGHBOURS = 6
 """Measured samples on either side that a missing one is interpolated from."""
 NUGGET = 0.02
@@ -55,9 +50,6 @@ class Filling:
 
 def fill_where_needed(records: Sequence[Record]) -> Filling:
     """Fill missing outputs where they would leave too few whole rows; else leave them missing, which loses nothing.
-
-    Args:
-        records: of one system, means removed, no input missing.
 
     Example:
         >>> rng = np.random.default_rng(0)
@@ -99,7 +91,7 @@ def fill_where_needed(records: Sequence[Record]) -> Filling:
 def _whole_rows(records: Sequence[Record]) -> tuple[float, int]:
     """Share of the rows that are whole with their past, of those there would be without gaps; and the order."""
     longest = max(record.n_samples for record in records)
-    order = min(LOOK_BACK, longest // 4)
+    order = min(64, longest // 4)
     possible = sum(max(0, record.n_samples - order) for record in records)
     whole = sum(int(usable_rows(record.complete_rows(), order).sum()) for record in records)
     return whole / possible, order
@@ -113,7 +105,7 @@ def _filled(records: Sequence[Record]) -> tuple[tuple[Record, ...], str]:
         zeros = tuple(np.zeros_like(record.outputs) for record in records)
         return _bridged(records, zeros), "interpolated by the correlation of each output"
     filled, rounds = _bridged(records, free_runs(model.form, records)), 1
-    while rounds < ROUNDS:
+    while rounds < 8:
         markov = observer_markov(filled)
         candidate = None if markov is None else best_model(markov, records)
         if candidate is None or candidate.error >= model.error:
@@ -131,7 +123,7 @@ def _first_markov(records: Sequence[Record]) -> MarkovParameters | None:
     n_inputs, n_outputs = records[0].n_inputs, records[0].n_outputs
     present = min(sum(int((~np.isnan(record.outputs[:, i])).sum()) for record in records) for i in range(n_outputs))
     longest = max(record.n_samples for record in records)
-    n_lags = min(PULSE_LAGS, present // (3 * n_inputs), longest // 4)
+    n_lags = min(128, present // (3 * n_inputs), longest // 4)
     if n_lags < 4:  # a Hankel matrix of two block rows and columns needs four lags
         return None
     width = (n_lags + 1) * n_inputs

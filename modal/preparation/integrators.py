@@ -40,12 +40,7 @@ LEAST_GAIN = 0.2
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Integrators:
-    """How often the system integrates its inputs.
-
-    Attributes:
-        number: 0, 1 or 2.
-        choice: what was chosen and why.
-    """
+    """How often the system integrates its inputs."""
 
     number: int
     choice: Choice
@@ -57,10 +52,6 @@ def choose_integrators(records: Sequence[Record], *, trials: FreedTrials | None 
     A quick model is driven by the inputs, by their sums and by the sums of those, each beside the drift that would
     otherwise be found; the mean square of what the free run leaves of slow motion on held-out rows decides. Nothing
     else is asked where the model of the records as they are leaves no motion that lasts, and forgets.
-
-    Args:
-        records: of one system, no input missing.
-        trials: of the same records, for a caller who goes on with the models that are made here.
 
     Example:
         >>> push = np.random.default_rng(0).standard_normal(2000)

@@ -91,10 +91,6 @@ def given_kind(kind: str) -> GivenKind:
 def find_kind(records: Sequence[Record], given: GivenKind = "auto") -> KindFound:
     """The kind of the records, one for all of them.
 
-    Args:
-        records: of one system.
-        given: by the caller; "auto" lets the data say it.
-
     Raises:
         InvalidDataError: a kind that these records cannot have, or records without inputs of which some ring down and
             others move throughout.

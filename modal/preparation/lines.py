@@ -54,9 +54,6 @@ class MachineLines:
 def machine_lines(records: Sequence[Record]) -> MachineLines:
     """Find the sinusoids of records without inputs and take them off; with inputs nothing is done.
 
-    Args:
-        records: of one system, means removed.
-
     Example:
         >>> rng = np.random.default_rng(0)
         >>> hum = np.sin(2 * np.pi * 7.3 * 0.01 * np.arange(4000))

@@ -28,12 +28,6 @@ from okid.markov import MarkovParameters, recover_system
 from okid.record import Record
 from okid.scaling import channel_scaling
 
-LONGEST_OBSERVER = 128
-"""Look back no further than this many samples: longer memories do not decide what preparation asks."""
-MOST_UNKNOWNS = 600
-"""Give an output's equation no more unknowns, so that many channels cost no more than few,"""
-ROWS_PER_UNKNOWN = 4
-"""and each unknown at least so many rows."""
 RIDGES = (FIRST_RIDGE, 10 * FIRST_RIDGE, 100 * FIRST_RIDGE)
 """Try a larger ridge where no model is stable with the smaller ones: to be unstable proves nothing about the system."""
 MODEL_ORDERS = (1, 2, 4, 6, 8, 12, 16, 24, 32, 40)
@@ -57,9 +51,6 @@ class QuickModel:
 
 def quick_model(records: Sequence[Record]) -> QuickModel | None:
     """The model of records without missing samples and with channels of like size; None where none is stable.
-
-    Args:
-        records: of one system with inputs.
 
     Example:
         >>> force = np.random.default_rng(0).standard_normal(600)
@@ -101,9 +92,10 @@ def left_alone_and_together(records: Sequence[Record], left: Sequence[FloatArray
 def observer_order(records: Sequence[Record]) -> int:
     """The longest observer that the records carry and that a first look can afford."""
     n_channels = records[0].n_inputs + records[0].n_outputs
-    rows = sum(record.n_samples for record in records) // ROWS_PER_UNKNOWN
+    rows = sum(record.n_samples for record in records) // 4  # rows an unknown, at least
     longest = max(record.n_samples for record in records)
-    return max(1, min(LONGEST_OBSERVER, min(MOST_UNKNOWNS, rows) // n_channels, longest // 4))
+    # longer memories do not decide what preparation asks
+    return max(1, min(128, min(600, rows) // n_channels, longest // 4))
 
 
 def observer_markov(records: Sequence[Record], *, ridge: float = FIRST_RIDGE) -> MarkovParameters | None:

@@ -31,8 +31,6 @@ from okid.scaling import channel_scaling
 
 ENOUGH = 20
 """Take the level from the rows before the first blow where there are so many, else from the end of the record."""
-N_PARTS = 10
-"""Look for the quietest of so many parts of a record."""
 NO_QUIETER = 2.0
 """Believe in rest where the rows before the blow move no more than this many times what the quietest part does, or than
 so few rows of its noise do by chance,"""
@@ -44,10 +42,6 @@ N_LAGS = 5
 """Lags of that test."""
 LONGEST = 256
 """Put no more rows in front: no observer that is tried looks back further."""
-MOST_UNKNOWNS = 1600
-"""Nor more than an observer with so many unknowns an output does."""
-MOST_RELEASES = 4
-"""Give so many decays, the strongest, a release as input; the others keep a state of their own to start from."""
 RELEASED = Choice(
     what="release",
     value="one a record",
@@ -90,7 +84,7 @@ def released(records: Sequence[Record], starts: Sequence[int] = ()) -> tuple[Rec
     each = [np.nan_to_num(np.nanvar(record.outputs, axis=0)) for record in records]
     whole = np.maximum(np.sum(each, axis=0), np.finfo(float).tiny)
     order = np.argsort([-float((own / whole).sum()) for own in each], kind="stable")
-    strongest = sorted(order[:MOST_RELEASES].tolist())
+    strongest = sorted(order[:4].tolist())  # the others keep a state of their own to start from
     names = tuple(f"release of record {number + 1}" for number in strongest)
     made = []
     for number, record in enumerate(records):
@@ -127,9 +121,6 @@ def _about_rest(record: Record, first: int) -> Record:
 def with_rest(records: Sequence[Record]) -> Rested:
     """Rows of rest in front of each record that begins at rest; records about their level.
 
-    Args:
-        records: struck once or a few times, no input missing.
-
     Example:
         >>> blow = np.r_[0.0, 1.0, np.zeros(198)]
         >>> found = with_rest([Record(blow, np.convolve(blow, 0.9 ** np.arange(200))[:200], 0.01)])
@@ -140,7 +131,7 @@ def with_rest(records: Sequence[Record]) -> Rested:
     centred = tuple(_about_rest(record, first) for record, first in zip(records, starts, strict=True))
     n_channels = records[0].n_inputs + records[0].n_outputs
     n_samples = sum(record.n_samples for record in records)
-    length = max(1, min(LONGEST, n_samples // (3 * n_channels), MOST_UNKNOWNS // n_channels))
+    length = max(1, min(LONGEST, n_samples // (3 * n_channels), 1600 // n_channels))
     resting = [_rests(record, first) for record, first in zip(centred, starts, strict=True)]
     padded = tuple(_padded(record, length) if rests else record for record, rests in zip(centred, resting, strict=True))
     whole = padded
@@ -212,7 +203,7 @@ def _rests(record: Record, first: int) -> bool:
         return False
     if first == 0 or not np.isfinite(before).any():
         return True
-    n_rows = max(1, record.n_samples // N_PARTS)
+    n_rows = max(1, record.n_samples // 10)  # the quietest tenth
     parts = record.outputs[: n_rows * (record.n_samples // n_rows)].reshape(-1, n_rows, record.n_outputs)
     there = np.isfinite(parts).any(axis=1)
     floor = np.sqrt(np.where(there, variance(parts, axis=1), np.inf).min(axis=0))

@@ -29,7 +29,6 @@ from modal.preparation.channel import (
     named,
     spoken,
     when,
-    where_found,
 )
 from modal.wording.text import percent
 from okid.arrays import BoolArray, FloatArray
@@ -54,14 +53,13 @@ OBSERVER_ORDER = 50
 _REACH = 2
 
 
-def spike_findings(channel: Channel, resolution: float, hits: Sequence[BoolArray], n_records: int) -> list[Finding]:
+def spike_findings(channel: Channel, resolution: float, hits: Sequence[BoolArray]) -> list[Finding]:
     """Spikes of one channel.
 
     Args:
         channel: the channel.
         resolution: distance of neighbouring levels, nan where there is no grid.
         hits: (n_samples,) a record, True where an input moves sharply: an output's answer to it is no spike.
-        n_records: number of records.
     """
     found, largest = spikes_of(channel, resolution, hits)
     if not found:
@@ -71,14 +69,12 @@ def spike_findings(channel: Channel, resolution: float, hits: Sequence[BoolArray
     what = "one sample" if len(found) == 1 else f"{len(found)} single samples ({percent(share)})"
     lies = "lies" if len(found) == 1 else "lie"
     return [
-        Finding(
+        channel.finding(
             level=_level(channel, share, largest),
             what="spikes",
-            where=where_found(channel.name, spans, n_records),
             sentence=f"{channel.role} {named(channel.name)}: {what} {lies} up to {spoken(largest / channel.std)} "
             f"standard deviations off the curve through the neighbours (first at {spans[0][1]:.6g} s): electrical "
             "spikes or lost bits, look at cables and grounding; mark them as missing (empty cells).",
-            channels=(channel.name,),
             spans=spans,
             share=share,
         )
@@ -226,7 +222,7 @@ def _moves_nearby(part: FloatArray, k: int, channel: Channel) -> bool:
     return bool(high - low > HARDLY * channel.std)
 
 
-def missing_findings(channel: Channel, n_records: int) -> list[Finding]:
+def missing_findings(channel: Channel) -> list[Finding]:
     """Missing samples of one channel; a record of a set-up that did not measure it lacks none."""
     measured = [number for number, part in enumerate(channel.parts) if np.isfinite(part).any()]
     measured = measured or list(range(len(channel.parts)))
@@ -238,14 +234,12 @@ def missing_findings(channel: Channel, n_records: int) -> list[Finding]:
     share = sum(stop - start for _, start, stop in gaps) / sum(channel.parts[number].size for number in measured)
     several = f"{len(gaps)} gaps of at most" if len(gaps) > 1 else "one gap of"
     return [
-        Finding(
+        channel.finding(
             level="bad" if share > MOSTLY else "doubtful" if share > SERIOUS else "note",
             what="missing samples",
-            where=where_found(channel.name, spans, n_records),
             sentence=f"{channel.role} {named(channel.name)} lacks {percent(share)} of its samples, in {several} "
             f"{spoken(longest * channel.dt)} s: the rows they touch are left out"
             + ("; leave the channel out if the others matter more." if share > SERIOUS else "."),
-            channels=(channel.name,),
             spans=spans,
             share=share,
         )
@@ -279,10 +273,6 @@ def gap_findings(records: Sequence[Record]) -> list[Finding]:
 
 def length_findings(records: Sequence[Record], *, has_coherence: bool) -> list[Finding]:
     """Too few samples for the smallest observer, or for the coherence of inputs and outputs.
-
-    Args:
-        records: of one system.
-        has_coherence: whether their coherence could be estimated.
 
     Example:
         >>> [finding.level for finding in length_findings([Record([], [0.0, 1.0, 0.0], 0.1)], has_coherence=False)]

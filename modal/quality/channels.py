@@ -1,13 +1,9 @@
-"""What each channel says by itself: its spectrum and its level.
-
-What the spectrum of a channel tells: a bound on its noise, no roll-off, few periods, white noise, hum of the mains.
+"""What each channel says by itself: by its spectrum (noise, no roll-off, few periods, hum) and by its level.
 
 In the spectrum of a whole record (Hann window for the mains) the power of noise, and of a resonance that noise drives,
 is spread like an exponential variable about a level that is smooth over a few hertz: it exceeds r times its mean with
 probability e^-r, and r times the median of its neighbours with probability 2^-r; `FALSE_ALARM` gives both r. A line
 stands alone: its power grows with the length of the record, that of its neighbours does not.
-
-The level of a channel: a mean far from zero, a size that changes within the record, slow drift that no input causes.
 
 Drift is decided as the identification does (`modal.preparation.drift`), but with the pulse response of an observer in
 the place of a model: what the inputs do is taken off, once with a response fitted to the records as they are and once
@@ -34,7 +30,6 @@ from modal.preparation.channel import (
     Finding,
     named,
     spoken,
-    where_found,
 )
 from modal.preparation.drift import (
     CANDIDATES,
@@ -66,9 +61,6 @@ WHITE = 1.5
 
 MAINS = (50.0, 60.0)
 """Look for lines of these mains [Hz]."""
-
-MOST_MULTIPLES = 6
-"""Look for so many multiples of the mains."""
 
 STRAY = 0.002
 """Look for a line of the mains within this share of its frequency."""
@@ -140,11 +132,7 @@ def alias_findings(record: Record, frequencies: FloatArray, densities: FloatArra
 
 
 def period_findings(records: Sequence[Record]) -> list[Finding]:
-    """Output-only records that hold few periods of their strongest motion.
-
-    Args:
-        records: without inputs; of others nothing is said, whose slow motion may be the inputs' doing.
-    """
+    """Output-only records that hold few periods of their strongest motion."""
     longest = max(records, key=lambda record: record.n_samples)
     if longest.n_inputs or longest.n_samples < BLOCK:
         return []
@@ -221,7 +209,7 @@ class HumLines:
 
 def mains_lines(channel: Channel) -> HumLines:
     """Prominence and size of the multiples of 50 and 60 Hz, over the longest record."""
-    multiples = [(base, base * k) for base in MAINS for k in range(1, MOST_MULTIPLES + 1)]
+    multiples = [(base, base * k) for base in MAINS for k in range(1, 7)]
     mains, frequencies = np.array([pair for pair in multiples if pair[1] < 0.45 / channel.dt]).reshape(-1, 2).T
     part = max(channel.parts, key=len)
     duration = part.size * channel.dt
@@ -244,15 +232,8 @@ def mains_lines(channel: Channel) -> HumLines:
     return HumLines(mains=mains, frequencies=frequencies, prominence=prominence, rms=rms)
 
 
-def hum_findings(channel: Channel, lines: HumLines, inputs: Sequence[HumLines], n_records: int) -> list[Finding]:
-    """Lines of an output that no input holds.
-
-    Args:
-        channel: an output.
-        lines: of it.
-        inputs: of the inputs.
-        n_records: number of records.
-    """
+def hum_findings(channel: Channel, lines: HumLines, inputs: Sequence[HumLines]) -> list[Finding]:
+    """Lines of an output that no input holds."""
     if channel.role == "input" or channel.std == 0.0:
         return []
     stands_out = -np.log2(FALSE_ALARM)
@@ -267,15 +248,13 @@ def hum_findings(channel: Channel, lines: HumLines, inputs: Sequence[HumLines], 
         share = float(np.sqrt(np.sum(lines.rms[own] ** 2)) / channel.std)
         which = ", ".join(spoken(f) for f in lines.frequencies[own])
         found.append(
-            Finding(
+            channel.finding(
                 level="bad" if share >= MOSTLY else "doubtful" if share >= NOTABLE else "note",
                 what="mains hum",
-                where=where_found(channel.name, (), n_records),
                 sentence=f"output {named(channel.name)} holds {'sharp lines' if own.sum() > 1 else 'a sharp line'} of "
                 f"the {base:.0f} Hz mains ({which} Hz), {percent(share)} of its motion"
                 f"{', that no input holds' if inputs else ''}: hum of a ground loop or an unshielded cable, or a "
                 "machine at that speed; take no mode there for one of the structure.",
-                channels=(channel.name,),
                 share=share,
             )
         )
@@ -315,20 +294,18 @@ FEWEST_BLOCKS = 2
 """Ask for so many blocks with samples on either side of a change."""
 
 
-def offset_findings(channel: Channel, n_records: int) -> list[Finding]:
+def offset_findings(channel: Channel) -> list[Finding]:
     """A mean of many times the motion."""
     if channel.role == "input" or channel.std == 0.0 or abs(channel.mean) < LARGE_OFFSET * channel.std:
         return []
     ratio = abs(channel.mean) / channel.std
     return [
-        Finding(
+        channel.finding(
             level="note",
             what="offset",
-            where=where_found(channel.name, (), n_records),
             sentence=f"output {named(channel.name)} stands at {channel.value(channel.mean)}, {spoken(ratio)} times as "
             "far from zero as it moves: the mean is taken off before the fit, but most of the sensor's range serves "
             "the offset; couple it AC or zero it.",
-            channels=(channel.name,),
         )
     ]
 
@@ -347,11 +324,7 @@ def is_steady(channel: Channel) -> bool:
 
 
 def block_levels(parts: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
-    """(10,) root mean square about each block's mean, a record of some length; nan for a block without a sample.
-
-    Args:
-        parts: (n_samples,) a record.
-    """
+    """(10,) root mean square about each block's mean, a record of some length; nan for a block without a sample."""
     levels = []
     for part in parts:
         if part.size < FEWEST_ROWS:
@@ -366,14 +339,8 @@ def block_levels(parts: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
     return tuple(levels)
 
 
-def level_findings(channel: Channel, inputs_steady: Sequence[bool], n_records: int) -> list[Finding]:
-    """An output whose level changes several times while every input's does not.
-
-    Args:
-        channel: an output.
-        inputs_steady: whether each input is steady.
-        n_records: number of records.
-    """
+def level_findings(channel: Channel, inputs_steady: Sequence[bool]) -> list[Finding]:
+    """An output whose level changes several times while every input's does not."""
     if channel.role == "input" or channel.std == 0.0 or not inputs_steady or not all(inputs_steady):
         return []
     for number, levels in enumerate(block_levels(channel.parts)):
@@ -386,14 +353,12 @@ def level_findings(channel: Channel, inputs_steady: Sequence[bool], n_records: i
         ratio = max(before, after) / max(min(before, after), np.finfo(float).tiny)
         word, times = ("larger" if after > before else "smaller"), spoken(ratio) if ratio < 1e6 else "many"
         return [
-            Finding(
+            channel.finding(
                 level="doubtful",
                 what="level changes",
-                where=where_found(channel.name, (), n_records),
                 sentence=f"output {named(channel.name)} is {times} times {word} from about {spoken(time)} s after the "
                 "start, while the inputs keep their level: a sensor that came loose, a range that was switched, or a "
                 "structure that changed; look there and cut the record.",
-                channels=(channel.name,),
             )
         ]
     return []
@@ -422,11 +387,7 @@ def _spread(levels: FloatArray) -> float:
 
 
 def drift_findings(records: Sequence[Record]) -> list[Finding]:
-    """Outputs that drift, by the longest record thinned to 6000 rows; none where an input is missing somewhere.
-
-    Args:
-        records: of one system.
-    """
+    """Outputs that drift, by the longest record thinned to 6000 rows; none where an input is missing somewhere."""
     longest = max(records, key=lambda record: record.n_samples)
     if longest.n_inputs == 0 or longest.n_samples < FEWEST_ROWS or np.isnan(longest.inputs).any():
         return []

@@ -51,12 +51,6 @@ SECONDS_A_VALUE = (4e-7, 1.5e-6)
 COPIES, BEFORE_RECORDS = 1.5, 0.25 * 2**30
 """Expect so many copies of the records, and so many bytes beside them: 0.9 GiB at 1e7 x 8."""
 
-AVERAGES = 32
-"""Make the coherence of so many segments without overlap, about: chance then gives 2 % an input."""
-
-LONGEST_SEGMENT = 8192
-"""Make no segment longer: its lines are finer than any mode that a record holds often enough."""
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Spectra:
@@ -157,21 +151,20 @@ def _channel_findings(
     channel: Channel, records: Sequence[Record], known: _Inputs, *, resolution: float
 ) -> list[Finding]:
     """Of one channel by itself; what an input shows is kept for the outputs, which come after all inputs."""
-    n = len(records)
     lines = mains_lines(channel)
     found = [
-        *constant_findings(channel, n),
-        *missing_findings(channel, n),
+        *constant_findings(channel),
+        *missing_findings(channel),
         *stuck_findings(channel, records, resolution),
     ]
     limited = without_spikes(channel, spikes_of(channel, resolution, known.sharp)[0])
-    clipped = clipping_findings(limited, n)
+    clipped = clipping_findings(limited)
     if clipped:  # the runs at the limit are those
         found = [finding for finding in found if finding.what != "stuck"]
-    found += [*repeat_findings(channel, n), *clipped, *resolution_findings(channel, resolution, n)]
-    found += spike_findings(channel, resolution, known.sharp, n)
-    found += [*offset_findings(channel, n), *hum_findings(channel, lines, known.lines, n)]
-    found += level_findings(channel, known.steady, n)
+    found += [*repeat_findings(channel), *clipped, *resolution_findings(channel, resolution)]
+    found += spike_findings(channel, resolution, known.sharp)
+    found += [*offset_findings(channel), *hum_findings(channel, lines, known.lines)]
+    found += level_findings(channel, known.steady)
     if channel.role == "input":
         known.lines.append(lines)
         known.steady.append(is_steady(channel))
@@ -208,8 +201,8 @@ def _spectra(records: Sequence[Record]) -> _Spectra:
     unknown = np.full(first.n_outputs, np.nan)
     best: _Spectra | None = None
     # without inputs there is no coherence to average for, and fine lines show more than smooth ones
-    for averages in (AVERAGES, FEWEST_AVERAGES) if first.n_inputs else (FEWEST_AVERAGES,):
-        length = min(LONGEST_SEGMENT, segment_length(records, averages=averages))
+    for averages in (32, FEWEST_AVERAGES) if first.n_inputs else (FEWEST_AVERAGES,):  # chance then gives 2 % an input
+        length = min(8192, segment_length(records, averages=averages))  # its lines are finer than any mode
         if best is not None and best.averaged is not None and length <= 2 * (len(best.frequencies) - 1):
             continue
         averaged = averaged_spectra(records, n_per_segment=length)

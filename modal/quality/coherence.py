@@ -32,20 +32,11 @@ from okid.scaling import channel_scaling
 OBSERVERS = ((512, 1e-6), (128, 1e-6), (128, 1e-3), (32, 1e-6))
 """Try observers of so many coefficients an output and such a ridge: a transient wants another one than noise."""
 
-ROWS_PER_UNKNOWN = 6
-"""Shorten an observer until so many rows stand for each of its coefficients."""
-
 LARGEST_PULSE = 1e6
 """Refuse a pulse response that is larger, in standard deviations of the output for one of the input: it diverges."""
 
 GROUP = 4
 """Let so many outputs share one observer; of more it would be too short for a resonance."""
-
-MOST_BANDS = 3
-"""Name so many bands of low coherence, those with the most power first."""
-
-BRIDGED = 4
-"""Name two bands as one where fewer lines lie between them."""
 
 FEW_EVENTS = 4.0
 """Blame no channel where the inputs have their energy in fewer blocks of the records: chance decides the coherence."""
@@ -82,7 +73,7 @@ def fitted_pulse_response(record: Record, *, n_unknowns: int, ridge: float) -> t
         array([0. , 1. , 0.5, 0. ])
     """
     n_channels = record.n_inputs + record.n_outputs
-    order = max(1, min(n_unknowns, record.n_samples // ROWS_PER_UNKNOWN) // n_channels)
+    order = max(1, min(n_unknowns, record.n_samples // 6) // n_channels)  # rows a coefficient, at least
     scaling = channel_scaling([record])
     if scaling.constant_inputs or scaling.constant_outputs:
         return None
@@ -102,9 +93,6 @@ def best_pulse(record: Record) -> tuple[FloatArray, FloatArray] | None:
     """Of a few observers the pulse response that explains most, and the share of each output's power that it explains.
 
     What is left counts more by as much as the fitted numbers took of it.
-
-    Args:
-        record: means removed, nothing missing.
 
     Returns:
         (n_samples, n_outputs, n_inputs) and (n_outputs,); None where every response diverges or a channel is constant.
@@ -187,9 +175,6 @@ def modelled_share(records: Sequence[Record]) -> FloatArray:
 
     The pulse response is that of a long observer fitted to at most 6000 whole rows of the longest record; what is left
     counts more by as much as the fitted numbers took of it.
-
-    Args:
-        records: of one system.
 
     Returns:
         nan where too few rows are whole, the output or every input is constant, or the pulse response diverges.
@@ -323,9 +308,9 @@ def _low_bands(
     low[0] = False
     lost = np.where(low, power, 0.0)
     for start, stop in runs_of(~low)[1:-1]:
-        if stop - start < BRIDGED:
+        if stop - start < 4:  # lines between two bands that are named as one
             low[start:stop] = True
-    runs = sorted(runs_of(low), key=lambda run: -float(lost[run[0] : run[1]].sum()))[:MOST_BANDS]
+    runs = sorted(runs_of(low), key=lambda run: -float(lost[run[0] : run[1]].sum()))[:3]
     step = float(frf.frequencies[1])
     return sorted((max(0.0, (a - 0.5) * step), (b - 0.5) * step) for a, b in runs)
 

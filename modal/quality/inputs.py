@@ -22,9 +22,6 @@ from okid.frequency_response import FEWEST_AVERAGES, AveragedSpectra
 from okid.record import Record
 from okid.rows import complete_rows
 
-NEEDED_ORDER = 20
-"""Ask for persistent excitation of ten sines: what an observer of few samples and a handful of modes need at least."""
-
 ALIKE = 0.95
 """Call two inputs alike in a line from this coherence: the share of one in the response depends on noise."""
 
@@ -36,9 +33,6 @@ HEAD_START = 16
 
 TIMED_TOGETHER = 8
 """Time so many outputs together: the observer of more would be shorter than the head start."""
-
-FEWEST_TIMED = 400
-"""Time no shorter record."""
 
 AHEAD = 2
 """Say that an output runs ahead by so many samples: an input behind a filter or held by a converter explains one."""
@@ -63,7 +57,8 @@ def excitation_findings(records: Sequence[Record]) -> list[Finding]:
     rows = max(1, MOST_ROWS // len(records))
     part = [record.samples(0, min(record.n_samples, max(rows, record.n_inputs))) for record in records]
     longest = max(record.n_samples for record in part)
-    order = int(min(NEEDED_ORDER, max(1, longest // (4 * records[0].n_inputs))))
+    # ten sines: what a few samples and a handful of modes need
+    order = int(min(20, max(1, longest // (4 * records[0].n_inputs))))
     try:
         check = check_excitation(part, order=order)
     except IdentificationError:
@@ -169,11 +164,7 @@ def _undriven(record: Record, spectra: AveragedSpectra, frf: MeasuredFrf) -> lis
 
 
 def copy_findings(records: Sequence[Record]) -> list[Finding]:
-    """Pairs with an output of which one is a multiple of the other; copies among inputs the excitation check names.
-
-    Args:
-        records: of one system.
-    """
+    """Pairs with an output of which one is a multiple of the other; copies among inputs the excitation check names."""
     values = _some_rows(records)
     if len(values) < 8:
         return []
@@ -280,7 +271,8 @@ def _ahead(record: Record, output: int, lags: FloatArray) -> Finding:
 def _part(record: Record) -> Record | None:
     """The first rows of a record, means removed; None where it is short or an input is missing."""
     part = record.samples(0, min(record.n_samples, FITTED_ROWS))
-    if part.n_samples < FEWEST_TIMED or np.isnan(part.inputs).any() or np.isnan(part.outputs).all(axis=0).any():
+    # a shorter record times nothing
+    if part.n_samples < 400 or np.isnan(part.inputs).any() or np.isnan(part.outputs).all(axis=0).any():
         return None
     return part.detrended(0)
 

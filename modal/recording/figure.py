@@ -6,12 +6,13 @@ Labels are as large as the viewer makes them and never stand on end: what an axi
 the key, whose words have the colours of what they name.
 """
 
+import importlib
 import math
 import re
 import unicodedata
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -20,8 +21,25 @@ from modal.plots.layout import Chart
 from modal.plots.panels import STYLE, Area, Curve, Mark, Panel, Role, Scale, Segments, Tick, runs
 from okid.arrays import FloatArray
 
-if TYPE_CHECKING:
-    import rerun
+
+class _Later:
+    """A library that is imported when something of it is first used: whoever only checks data never pays for rerun."""
+
+    def __init__(self, library: str) -> None:
+        self._library = library
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(importlib.import_module(self._library), name)
+
+
+rr: Any = _Later("rerun")
+rrb: Any = _Later("rerun.blueprint")
+
+RecordingStream = Any
+"""A stream of Rerun, `rerun.RecordingStream`."""
+
+Blueprint = Any
+"""A layout of Rerun, `rerun.blueprint.Blueprint`."""
 
 DRAWN: Final = (
     *((0x20, 0x7E), (0xA0, 0xAC), (0xAE, 0x148), (0x14A, 0x17F), (0x218, 0x21B)),  # Latin
@@ -97,22 +115,10 @@ class Drawing:
 
     ENLARGED: Final = 2.0
     """Enlarge a chart so much: a row of words, 10.6 points, is as high as a label of the viewer with its ground."""
-    DOTS: Final = 0.7
-    """Draw a dot with a radius of so much of its diameter in print."""
-    STROKE: Final = 6.0
-    """Fill a box with strokes of at most this height, in view units: their ends are round."""
-    LETTER: Final = 7.0
-    """Take a letter of a label as this wide, in view units."""
     PADDING: Final = 12.0
     """Leave so much between the words of a label and its ends, in view units."""
-    BUBBLE: Final = 19.0
-    """Raise a label by this, in view units: it hangs below its point, and its middle is to stand where it is asked
-    for."""
     KEY_ROWS: Final = 2
     """Give a key so many rows, the first of them beside the head; say how many more there are."""
-    WORDS_SHARE: Final = 0.3
-    """Set the words of rows above their bars, inside of the panel, when beside it they need more of the pane than
-    this."""
 
 
 COLOURS: Final[dict[Role, Colour]] = {
@@ -133,7 +139,7 @@ Said = tuple[float, float, str, Colour]
 """A label: the place of its middle in the view, its words and their colour."""
 
 
-def log_chart(recording: "rerun.RecordingStream", pane: Pane, chart: Chart, *, behind: float = 2.0) -> None:
+def log_chart(recording: RecordingStream, pane: Pane, chart: Chart, *, behind: float = 2.0) -> None:
     """Draw a chart below the path of its pane, everything static; it is laid out anew, in the shape of the pane.
 
     Each line, area and set of pieces is an entity, named by its label; those of several panels stand below the
@@ -214,13 +220,14 @@ def _wrapped(panel: Panel, entries: Sequence[tuple[str, Colour]]) -> list[list[t
 
 
 def _wide(text: str) -> float:
-    return Drawing.LETTER * len(text) + 2.0 * Drawing.PADDING
+    # about the width of a letter
+    return 7.0 * len(text) + 2.0 * Drawing.PADDING
 
 
 def _words_inside(chart: Chart, panel: Panel) -> None:
     """Take long words from beside their rows to above their bars; one row lies 1 below the other."""
     ticks = panel.y.ticks or ()
-    if max([_wide(text) for _, text in ticks], default=0.0) > Drawing.WORDS_SHARE * Drawing.ENLARGED * chart.width:
+    if max([_wide(text) for _, text in ticks], default=0.0) > 0.3 * Drawing.ENLARGED * chart.width:
         panel.y.labelled = False
         for place, text in ticks:
             panel.word(-math.inf, place - 0.5, text, "ink", shift=(0.0, STYLE.tick / 3))
@@ -228,7 +235,7 @@ def _words_inside(chart: Chart, panel: Panel) -> None:
         panel.y.limits = (first, min(last, -0.9)) if first > last else (first, last)
 
 
-def _log_frame(recording: "rerun.RecordingStream", path: str, panel: Panel) -> None:
+def _log_frame(recording: RecordingStream, path: str, panel: Panel) -> None:
     left, top, width, height = (Drawing.ENLARGED * edge for edge in panel.box)
     right, bottom = left + width, top + height
     across = [[(x, top), (x, bottom)] for x, _ in _seen(panel, panel.x, panel.x_ticks()) if panel.x.grid]
@@ -289,13 +296,11 @@ def _words(panel: Panel) -> Iterator[Said]:
         yield x + aside, y - Drawing.ENLARGED * word.size / 3, word.text, COLOURS[word.role]
 
 
-def _log_words(recording: "rerun.RecordingStream", path: str, said: Sequence[Said]) -> None:
-    import rerun as rr
-
+def _log_words(recording: RecordingStream, path: str, said: Sequence[Said]) -> None:
     if not said:
         return
     labels = rr.Points2D(
-        [(x, y - Drawing.BUBBLE) for x, y, _, _ in said],
+        [(x, y - 19.0) for x, y, _, _ in said],  # a label hangs below its point
         radii=rr.Radius.ui_points(0.0),
         colors=[colour for *_, colour in said],
         labels=[drawable(text) for _, _, text, _ in said],
@@ -305,7 +310,7 @@ def _log_words(recording: "rerun.RecordingStream", path: str, said: Sequence[Sai
     recording.log(f"{path}/words", labels, static=True, strict=True)
 
 
-def _log_mark(recording: "rerun.RecordingStream", path: str, panel: Panel, mark: Mark, order: float) -> None:
+def _log_mark(recording: RecordingStream, path: str, panel: Panel, mark: Mark, order: float) -> None:
     colour = colour_of(mark.role, mark.opacity)
     if isinstance(mark, Area):
         _log_area(recording, path, panel, mark, order)
@@ -338,10 +343,8 @@ def _is_inside(panel: Panel, points: FloatArray) -> npt.NDArray[np.bool_]:
     )
 
 
-def _log_dots(recording: "rerun.RecordingStream", path: str, panel: Panel, curve: Curve, order: float) -> None:
+def _log_dots(recording: RecordingStream, path: str, panel: Panel, curve: Curve, order: float) -> None:
     """The dots within the panel; where the pointer rests on one, its numbers show."""
-    import rerun as rr
-
     shown = curve.corners[_is_inside(panel, curve.corners)]
     if not len(shown):
         return
@@ -349,7 +352,7 @@ def _log_dots(recording: "rerun.RecordingStream", path: str, panel: Panel, curve
     texts = [drawable(f"{along} {x:.5g}: {upwards} {y:.5g}") for x, y in shown.tolist()]
     dots = rr.Points2D(
         seen_at(panel, *shown.T),
-        radii=rr.Radius.ui_points(Drawing.DOTS * curve.dot),
+        radii=rr.Radius.ui_points(0.7 * curve.dot),
         colors=colour_of(curve.role, curve.opacity),
         labels=texts,
         show_labels=False,
@@ -358,10 +361,8 @@ def _log_dots(recording: "rerun.RecordingStream", path: str, panel: Panel, curve
     recording.log(path, dots, static=True, strict=True)
 
 
-def _log_area(recording: "rerun.RecordingStream", path: str, panel: Panel, area: Area, order: float) -> None:
+def _log_area(recording: RecordingStream, path: str, panel: Panel, area: Area, order: float) -> None:
     """An opaque box as strokes side by side; of a band with a name the rim, since the view cannot fill a polygon."""
-    import rerun as rr
-
     rims = [seen_at(panel, *polygon.T) for polygon in area.polygons if len(polygon)]
     if area.opacity < 1.0 and not area.label:
         return
@@ -372,7 +373,7 @@ def _log_area(recording: "rerun.RecordingStream", path: str, panel: Panel, area:
     strokes, radii = [], []
     for rim in rims:
         (left, top), (right, bottom) = rim.min(axis=0), rim.max(axis=0)
-        n_strokes = max(1, math.ceil((bottom - top) / Drawing.STROKE))
+        n_strokes = max(1, math.ceil((bottom - top) / 6.0))  # their ends are round
         edges, radius = np.linspace(top, bottom, n_strokes + 1), (bottom - top) / (2 * n_strokes)
         ends = min(left + radius, right), max(right - radius, left)
         strokes += [[(end, middle) for end in ends] for middle in ((edges[1:] + edges[:-1]) / 2).tolist()]
@@ -382,7 +383,7 @@ def _log_area(recording: "rerun.RecordingStream", path: str, panel: Panel, area:
 
 
 def _strips(
-    recording: "rerun.RecordingStream",
+    recording: RecordingStream,
     path: str,
     strips: Sequence[object],
     colour: Colour,
@@ -390,8 +391,6 @@ def _strips(
     width: float = STYLE.thin,
     order: float,
 ) -> None:
-    import rerun as rr
-
     if strips:
         radius = rr.Radius.ui_points(Drawing.ENLARGED * width / 2)
         lines = rr.LineStrips2D(strips, radii=radius, colors=colour, draw_order=order)
@@ -406,8 +405,6 @@ def _names(marks: Sequence[Mark]) -> list[str]:
 
 def series_view(origin: str, name: str, contents: Sequence[str], *, legend: bool = True) -> Any:
     """The view of series over time, linked with all others."""
-    import rerun.blueprint as rrb
-
     return rrb.TimeSeriesView(
         origin=origin,
         contents=[f"+ {path if path.startswith('$') else '/' + path}" for path in contents],
@@ -419,8 +416,6 @@ def series_view(origin: str, name: str, contents: Sequence[str], *, legend: bool
 
 def plot_view(pane: Pane, name: str) -> Any:
     """The view of a drawn plot, in the shape of its pane."""
-    import rerun.blueprint as rrb
-
     return rrb.Spatial2DView(
         origin=pane.path,
         name=name,
@@ -429,8 +424,11 @@ def plot_view(pane: Pane, name: str) -> Any:
     )
 
 
+def tabs(views: Sequence[Any], name: str) -> Any:
+    """A tab for each view, the first in front; a single view needs none."""
+    return rrb.Tabs(*views, active_tab=0, name=name) if len(views) > 1 else views[0]
+
+
 def document_view(path: str, name: str) -> Any:
     """The view of words."""
-    import rerun.blueprint as rrb
-
     return rrb.TextDocumentView(origin=path, name=name)

@@ -3,12 +3,6 @@
 The viewer is company, not part of the work: where there is none, where it cannot be opened or where it is closed on the
 way, one sentence says so and the work goes on. Nothing here waits longer than a second or two, and nothing raises.
 
-Where a Rerun viewer is, whether it answers, and opening one.
-
-How a live view opens, before there is a result; called by `modal.recording.live`.
-
-A wire to a viewer that can be cut.
-
 Rerun waits without end for a viewer that has stopped answering (a machine asleep, a network gone), when a stream is
 closed and again when the program ends. Bytes that pass through a socket of our own can be stopped there: Rerun then
 sees a broken connection, and gives up at once.
@@ -27,32 +21,25 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 from urllib.parse import urlsplit
 
+from modal.geometry.sensors import Geometry
 from modal.identification.result import Identification
 from modal.modes.mode import ModalModel
 from modal.quality.check import check_quality
 from modal.quality.findings import DataQuality
-from modal.recording.figure import document_view
+from modal.recording.figure import Blueprint, RecordingStream, document_view, rr, rrb
 from modal.recording.identification.record import log_record_page, record_page
 from modal.recording.plan import DataPlan, cell, label, planned_data
 from modal.recording.stream import APPLICATION, log_identification, show_whole_record, strict_errors, whole_blueprint
+from modal.recording.tables import log_text
 from okid.errors import IdentificationWarning, InvalidDataError
 from okid.record import Record
 
-if TYPE_CHECKING:
-    import rerun
-    import rerun.blueprint
 
-    from modal.geometry.sensors import Geometry
-    from modal.quality.findings import DataQuality
-
-
-def live_blueprint(records: Sequence[Record], plan: DataPlan, quality: DataQuality) -> "rerun.blueprint.Blueprint":
+def live_blueprint(records: Sequence[Record], plan: DataPlan, quality: DataQuality) -> Blueprint:
     """The records, and what the work is at."""
-    import rerun.blueprint as rrb
-
     record = record_page(records, plan, quality)
     show_whole_record(record, plan)
     progress = rrb.Horizontal(
@@ -75,12 +62,7 @@ class Relay:
     """
 
     def __init__(self, host: str, port: int) -> None:
-        """Listen; the other side is called when somebody calls here.
-
-        Args:
-            host: of the other side.
-            port: of the other side.
-        """
+        """Listen; the other side is called when somebody calls here."""
         self._other = (host, port)
         self._listening = socket.create_server(("127.0.0.1", 0))
         self._sockets = [self._listening]
@@ -235,7 +217,7 @@ class LiveRecording:
 
     __slots__ = ("began", "is_lost", "start", "steps", "stream", "tell", "wire")
 
-    def __init__(self, *, stream: "rerun.RecordingStream", wire: Relay, tell: Callable[[str], None]) -> None:
+    def __init__(self, *, stream: RecordingStream, wire: Relay, tell: Callable[[str], None]) -> None:
         self.stream = stream
         self.wire = wire
         self.tell = tell
@@ -276,19 +258,13 @@ def live_recording(
             _close(live)
 
 
-def log_records(records: Sequence[Record], live: LiveRecording | None, *, quality: "DataQuality | None" = None) -> None:
-    """The page "Record", as soon as the records are read.
-
-    Args:
-        records: as read.
-        live: from `live_recording`.
-        quality: of the records; found here unless given.
-    """
+def log_records(records: Sequence[Record], live: LiveRecording | None) -> None:
+    """The page "Record", as soon as the records are read."""
 
     def log(recording: LiveRecording) -> None:
         plan = planned_data(records, root=READ)
         recording.start = plan.start
-        found = quality or check_quality(records)
+        found = check_quality(records)
         log_record_page(records, recording.stream, plan, found)
         recording.stream.send_recording_name(label(records[0].name, 60))
         recording.stream.send_blueprint(live_blueprint(records, plan, found))
@@ -307,8 +283,6 @@ def log_progress(live: LiveRecording | None, what: str, share: float) -> None:
     """
 
     def log(recording: LiveRecording) -> None:
-        import rerun as rr
-
         seconds = round(time.perf_counter() - recording.began, 3)
         if not recording.steps or recording.steps[-1][1] != what:
             recording.steps.append((seconds, what))
@@ -326,31 +300,18 @@ def log_result(
     identification: Identification,
     live: LiveRecording | None,
     *,
-    geometry: "Geometry | None" = None,
-    quality: "DataQuality | None" = None,
+    geometry: Geometry | None = None,
+    quality: DataQuality | None = None,
 ) -> None:
-    """All pages, in place of what was shown while the work went on.
-
-    Args:
-        identification: from `modal.identify`.
-        live: from `live_recording`.
-        geometry: where the sensors are.
-        quality: of the records as read.
-    """
+    """All pages, in place of what was shown while the work went on."""
     _attempt(
         live, lambda recording: log_identification(identification, recording.stream, geometry=geometry, quality=quality)
     )
 
 
 @contextmanager
-def estimate_recording(path: Path) -> Iterator["rerun.RecordingStream"]:
-    """A recording of windowed modes in a file, readable while it grows.
-
-    Args:
-        path: of the file.
-    """
-    import rerun as rr
-
+def estimate_recording(path: Path) -> Iterator[RecordingStream]:
+    """A recording of windowed modes in a file, readable while it grows."""
     stream = rr.RecordingStream(APPLICATION, recording_id=f"live-{secrets.token_hex(8)}")
     stream.set_log_time_enabled(False)
     stream.save(path)
@@ -361,18 +322,9 @@ def estimate_recording(path: Path) -> Iterator["rerun.RecordingStream"]:
 
 
 def log_estimate(
-    time_in_middle: float, modes: ModalModel, warnings_of_it: Sequence[str], stream: "rerun.RecordingStream"
+    time_in_middle: float, modes: ModalModel, warnings_of_it: Sequence[str], stream: RecordingStream
 ) -> None:
-    """The oscillatory modes of one window against time: frequencies, damping ratios, and what must be said of it.
-
-    Args:
-        time_in_middle: of the window [s].
-        modes: of the window.
-        warnings_of_it: a sentence each.
-        stream: of `live_recording` or `estimate_recording`.
-    """
-    import rerun as rr
-
+    """The oscillatory modes of one window against time: frequencies, damping ratios, and what must be said of it."""
     seen = [mode for mode in modes if mode.kind == "oscillatory"]
     stream.set_time("time", duration=time_in_middle)
     for path, values in (
@@ -389,14 +341,12 @@ def log_estimate(
 
 def _log_steps(live: LiveRecording, *, share: float = 0.0) -> None:
     """The steps so far as one text, which shows whatever timeline is in front."""
-    import rerun as rr
-
     done = "■" * round(24 * min(max(share, 0.0), 1.0))  # in Rerun's own fonts, as few of its kind are
     now = cell(live.steps[-1][1]) if live.steps else "reading"
     lines = [f"- {seconds:.1f} s: {cell(what)}" for seconds, what in live.steps]
     bar = f"`{done}{'□' * (24 - len(done))}` {100 * share:.0f} %"
     text = "\n\n".join([f"### {now}", bar, "\n".join(lines)])
-    live.stream.log(PROGRESS_TEXT, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+    log_text(live.stream, PROGRESS_TEXT, text)
 
 
 def _attempt(live: LiveRecording | None, log: Callable[[LiveRecording], None]) -> None:
@@ -425,8 +375,6 @@ def _opened(host: str, port: int, *, may_spawn: bool, tell: Callable[[str], None
     if not speaks(host, port):
         tell(f"What listens at {host}:{port} does not answer as a Rerun viewer would. Going on without a live view.")
         return None
-    import rerun as rr
-
     stream = rr.RecordingStream(APPLICATION, recording_id=f"live-{secrets.token_hex(8)}")
     stream.set_log_time_enabled(False)  # its timelines are "time" and "work"
     wire = Relay(host, port)

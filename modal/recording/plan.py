@@ -10,29 +10,24 @@ that runs from right to left and carries what follows along. Here are their path
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from era.realisation import Realisation
+from modal.geometry.sensors import Geometry
 from modal.identification.result import Identification
 from modal.modes.mode import Mode, numbered
 from modal.modes.response_synthesis import MeasuredFrf, frf, measured_frf
 from modal.quality.check import check_quality
 from modal.quality.findings import DataQuality
-from modal.recording.figure import drawable
-from modal.recording.series import StoredStretch, laid_out, row_budget, stored_levels
+from modal.recording.figure import drawable, rr
+from modal.recording.series import StoredRecords, laid_out, row_budget, stored_levels
 from modal.wording.text import escape_markdown, shorten
 from okid.arrays import ComplexArray, FloatArray
 from okid.errors import InsufficientDataError, visible
 from okid.frequency_response import FEWEST_AVERAGES
 from okid.record import Record
-
-if TYPE_CHECKING:
-    from modal.geometry.sensors import Geometry
-
-LONGEST_PART: Final = 64
-"""Keep so many letters of a channel name in an entity path."""
 
 
 def label(text: str, longest: int = 28) -> str:
@@ -74,14 +69,12 @@ def path_parts(names: Sequence[str]) -> tuple[str, ...]:
         >>> path_parts(["tip", "", " ", "a/b", "__secret"])
         ('tip', 'unnamed', 'unnamed_2', 'a\\/b', 'name__secret')
     """
-    import rerun
-
     parts: list[str] = []
     for index, name in enumerate(names):
-        part = label(name, longest=len(name) + len("unnamed"))[:LONGEST_PART]
+        part = label(name, longest=len(name) + len("unnamed"))[:64]
         if part.startswith("__"):  # reserved by Rerun for its own entities
             part = "name" + part
-        escaped = rerun.escape_entity_path_part(part)
+        escaped = rr.escape_entity_path_part(part)
         while escaped in parts:
             escaped = f"{escaped}_{index}"
         parts.append(escaped)
@@ -97,27 +90,18 @@ class Views:
 
     INPUTS: Final = 6
     OUTPUTS: Final = 12
-    MODES: Final = 9
     """Give so many of each a view, whatever comes; the numbers of all the others are stored as well."""
 
 
 class Counted:
-    """What a segment, a response and an output may take."""
+    """What a response may take."""
 
-    ENTITIES_PER_OUTPUT: Final = 3
-    SERIES_PER_OUTPUT: Final = 5
-    """Count so many of an output: measured; predicted and simulated; the residuals of both."""
-    LONGEST_SEGMENT: Final = 8192
-    """Cut segments of so many samples: 4096 lines are more than a screen shows, and longer ones cost time without
-    end."""
-    FINE_LINES: Final = 800
-    """Draw the response of a model at so many frequencies at least, as far as memory allows."""
     MOST_NUMBERS: Final = 300_000
     """Store so many lines of the response times its pairs of channels, at most."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class DataPlan:
+class DataPlan(StoredRecords):
     """Where the measured channels are stored and when they play.
 
     Attributes:
@@ -126,9 +110,6 @@ class DataPlan:
         output_paths: entity of each output.
         shown_outputs: outputs that have views of their own.
         shifts: seconds by which each record is moved on the timeline.
-        starts: when each record begins on the timeline [s].
-        stops: when each record ends on the timeline [s].
-        levels: how finely each record is stored, stretch by stretch.
     """
 
     root: str
@@ -136,19 +117,6 @@ class DataPlan:
     output_paths: tuple[str, ...]
     shown_outputs: tuple[int, ...]
     shifts: tuple[float, ...]
-    starts: tuple[float, ...]
-    stops: tuple[float, ...]
-    levels: tuple[tuple[StoredStretch, ...], ...]
-
-    @property
-    def start(self) -> float:
-        """Where the timeline begins [s]."""
-        return self.starts[0]
-
-    @property
-    def stop(self) -> float:
-        """Where it ends [s]."""
-        return self.stops[-1]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -170,38 +138,25 @@ class Plan:
     modes: tuple[Mode, ...]
     shapes: tuple[int, ...]
     window: float
-    geometry: "Geometry | None" = None
+    geometry: Geometry | None = None
 
     @property
     def compared(self) -> bool:
         """Whether there are shapes to compare: several, of several outputs each."""
         return len(self.shapes) > 1 and len(self.fit_paths) > 1
 
-    @property
-    def start(self) -> float:
-        """Where the timeline begins [s]."""
-        return self.data.start
 
-    @property
-    def stop(self) -> float:
-        """Where it ends [s]."""
-        return self.data.stop
-
-
-def planned(identification: Identification, geometry: "Geometry | None" = None) -> Plan:
+def planned(identification: Identification, geometry: Geometry | None = None) -> Plan:
     """The plan for one identification.
-
-    Args:
-        identification: what will be recorded.
-        geometry: where the sensors are.
 
     Raises:
         InvalidDataError: the records reach further than the time axis of a recording does.
     """
     records = identification.records or (_time_alone(identification),)
     first = records[0]
-    n_entities = first.n_inputs + Counted.ENTITIES_PER_OUTPUT * first.n_outputs
-    budget = row_budget(n_entities, first.n_inputs + Counted.SERIES_PER_OUTPUT * first.n_outputs)
+    n_entities = first.n_inputs + 3 * first.n_outputs  # measured; the model; its residuals
+    # measured; predicted, simulated and the residuals of both
+    budget = row_budget(n_entities, first.n_inputs + 5 * first.n_outputs)
     around = tuple(_worst_sample(*pair) for pair in zip(records, identification.simulated or records, strict=True))
     data = planned_data(records, budget=budget, around=around)
     modes = tuple(mode for _, mode in numbered(identification.modes.modes))
@@ -267,7 +222,7 @@ def _drawn(modes: tuple[Mode, ...]) -> tuple[int, ...]:
     for verdict in ("system", "doubtful"):
         chosen = [number for number, mode in enumerate(modes, start=1) if mode.verdict == verdict]
         if chosen:
-            return tuple(chosen[: Views.MODES])
+            return tuple(chosen[:9])
     return ()
 
 
@@ -306,12 +261,7 @@ class Gathered:
 
 
 def gather(identification: Identification, quality: DataQuality | None = None) -> Gathered:
-    """Look at the records of an identification.
-
-    Args:
-        identification: whose records.
-        quality: of the records as they were read; unless given, that of the records as used is found.
-    """
+    """Look at the records of an identification."""
     fine_frequencies, step = np.zeros(0), 1
     fine: ComplexArray = np.zeros((0, 0, 0), dtype=np.complex128)
     # a pole on the unit circle and squares of 1e200 give what is no number, and is left out of every picture
@@ -319,7 +269,7 @@ def gather(identification: Identification, quality: DataQuality | None = None) -
         measured = response_of(identification.records)
         if measured is not None:
             n_lines, n_pairs = measured.frequencies.size, measured.frf[0].size
-            step = max(1, min(-(-Counted.FINE_LINES // n_lines), Counted.MOST_NUMBERS // (n_lines * n_pairs)))
+            step = max(1, min(-(-800 // n_lines), Counted.MOST_NUMBERS // (n_lines * n_pairs)))
             fine_frequencies = np.linspace(0.0, measured.frequencies[-1], step * (n_lines - 1) + 1)
             fine = frf(identification.realisation, fine_frequencies)
             fine = np.where(np.isfinite(fine), fine, np.nan)
@@ -365,7 +315,7 @@ def response_of(records: Sequence[Record]) -> MeasuredFrf | None:
         return None
     n_rows = sum(record.n_samples for record in records)
     longest = min(
-        Counted.LONGEST_SEGMENT,
+        8192,  # 4096 lines are more than a screen shows
         2 * Counted.MOST_NUMBERS // (first.n_inputs * first.n_outputs),
         n_rows // FEWEST_AVERAGES,
     )

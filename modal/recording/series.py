@@ -1,7 +1,5 @@
 """Time series of the records: one bulk call an entity, constant style beside it, gaps kept.
 
-Long series kept small on disk, at two levels of detail: the extremes of each bucket of samples, and every sample.
-
 A plot of a thousand pixels cannot show more than a smallest and a largest value a pixel, and a peak is never lost when
 both are kept: the overview. Where one looks closer, at the start of a record and around the largest residual, every
 sample is kept: the detail. Both levels are stretches of one series, so a view need not know about them. All channels
@@ -11,8 +9,6 @@ The budget: all series of a recording together take at most about `BYTES_PER_REC
 than `SAMPLES_PER_SERIES` rows. 8 channels of a million samples make a file of less than 100 MB, written in less
 than 5 s (`tests/benchmarks/recording_benchmark.py` measures both).
 
-Where records stand on the timeline "time", and how finely each is stored.
-
 Several records share the timeline. A record keeps its own time where it starts after the one before it has ended (parts
 of one long measurement do); otherwise it is moved to follow the one before it after a short pause, which stays empty in
 every plot. The entity `data/records` says where each one stands.
@@ -20,17 +16,14 @@ every plot. The entity `data/records` says where each one stands.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal, Protocol
+from typing import Final, Literal
 
 import numpy as np
 
-from modal.recording.figure import Colour
+from modal.recording.figure import Colour, RecordingStream, rr
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 from okid.record import Record
-
-if TYPE_CHECKING:
-    import rerun
 
 
 class DiskBudget:
@@ -45,10 +38,6 @@ class DiskBudget:
     """Count so much on disk for a row of an entity (its time and its identity) and for each value in it: files of
     Rerun 0.41 with 200 000 rows of noise and 1, 2, 3, 5 and 8 values a row took 22.1, 30.1, 38.2, 54.2 and 78.3
     bytes a row."""
-    DETAIL_SHARE: Final = 8
-    """Give each stretch of detail this part of the rows; a record has two at most, the overview has the rest."""
-    LONGEST_DETAIL: Final = 20_000
-    """Store so many samples of a stretch of detail, at most."""
 
 
 def row_budget(n_entities: int, n_values: int) -> int:
@@ -78,20 +67,14 @@ def bucket_length(n_samples: int, budget: int) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredStretch:
-    """Samples of a record that are stored at one level of detail.
-
-    Attributes:
-        start: the first of them.
-        stop: one past the last.
-        bucket: samples a stored bucket, 1 where every sample is stored.
-    """
+    """Samples of a record that are stored at one level of detail."""
 
     start: int
     stop: int
     bucket: int
 
 
-def stretches(n_samples: int, budget: int, *, around: Sequence[int] = ()) -> tuple[StoredStretch, ...]:
+def stored_stretches(n_samples: int, budget: int, *, around: Sequence[int] = ()) -> tuple[StoredStretch, ...]:
     """How a record is stored: whole where the budget allows, else its start and what lies `around`, and buckets.
 
     Args:
@@ -100,12 +83,12 @@ def stretches(n_samples: int, budget: int, *, around: Sequence[int] = ()) -> tup
         around: samples around which every sample is wanted; beyond two, those that come first.
 
     Example:
-        >>> [(s.start, s.stop, s.bucket) for s in stretches(100_000, 8000, around=[50_000])]
+        >>> [(s.start, s.stop, s.bucket) for s in stored_stretches(100_000, 8000, around=[50_000])]
         [(0, 1000, 1), (1000, 49500, 33), (49500, 50500, 1), (50500, 100000, 33)]
     """
     if n_samples <= budget:
         return (StoredStretch(start=0, stop=n_samples, bucket=1),)
-    length = min(DiskBudget.LONGEST_DETAIL, budget // DiskBudget.DETAIL_SHARE)
+    length = min(20_000, budget // 8)  # a record has two details at most, the overview has the rest
     middles = [length // 2, *around][:2]
     details = sorted({min(max(0, middle - length // 2), n_samples - length) for middle in middles})
     # six rows to spare: each stretch of buckets may end in one that is not full
@@ -182,28 +165,29 @@ LATEST: Final = 9.2e9
 """Reject times beyond this [s]: Rerun counts nanoseconds, with 63 bits."""
 
 
-class TrackPlan(Protocol):
-    """Where each record stands on the timeline, and how finely it is stored; see `modal.recording.plan`."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class StoredRecords:
+    """Where each record stands on the timeline, and how finely it is stored.
 
-    @property
-    def starts(self) -> tuple[float, ...]:
-        """When each record begins on the timeline [s]."""
+    Attributes:
+        starts: when each record begins on the timeline [s].
+        stops: when each ends [s].
+        levels: the stretches in which each is stored.
+    """
 
-    @property
-    def levels(self) -> tuple[tuple[StoredStretch, ...], ...]:
-        """The stretches in which each record is stored."""
-
-
-class Span(Protocol):
-    """Where the timeline begins and ends; see `modal.recording.plan`."""
+    starts: tuple[float, ...]
+    stops: tuple[float, ...]
+    levels: tuple[tuple[StoredStretch, ...], ...]
 
     @property
     def start(self) -> float:
-        """Where it begins [s]."""
+        """Where the timeline begins [s]."""
+        return self.starts[0]
 
     @property
     def stop(self) -> float:
         """Where it ends [s]."""
+        return self.stops[-1]
 
 
 def stored_levels(
@@ -218,11 +202,11 @@ def stored_levels(
     """
     n_samples = sum(record.n_samples for record in records)
     if n_samples <= budget:
-        return tuple(stretches(record.n_samples, record.n_samples) for record in records)
+        return tuple(stored_stretches(record.n_samples, record.n_samples) for record in records)
     shares = [max(64, budget * record.n_samples // n_samples) for record in records]
     wanted: list[Sequence[int]] = [[sample] for sample in around] or [[]] * len(records)
     return tuple(
-        stretches(record.n_samples, share, around=samples)
+        stored_stretches(record.n_samples, share, around=samples)
         for record, share, samples in zip(records, shares, wanted, strict=True)
     )
 
@@ -261,14 +245,7 @@ Interpolation = Literal["Linear", "StepAfter"]
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Line:
-    """One channel of all records, and how it is drawn.
-
-    Attributes:
-        channels: its samples in each record, nan where missing.
-        name: as it reads in the legend.
-        colour: of the line.
-        width: of the line, in points.
-    """
+    """One channel of all records, and how it is drawn."""
 
     channels: Sequence[FloatArray]
     name: str
@@ -276,7 +253,7 @@ class Line:
     width: float = 1.2
 
 
-def time_axis(records: Sequence[Record], plan: TrackPlan) -> FloatArray:
+def time_axis(records: Sequence[Record], plan: StoredRecords) -> FloatArray:
     """(n_stored,) times of the stored samples of all records on the timeline [s], one between records for the gap."""
     parts = []
     for record, start, kept in zip(records, plan.starts, plan.levels, strict=True):
@@ -285,59 +262,20 @@ def time_axis(records: Sequence[Record], plan: TrackPlan) -> FloatArray:
     return np.concatenate(parts[:-1])
 
 
-def log_series(
-    recording: "rerun.RecordingStream",
-    path: str,
-    times: FloatArray,
-    channels: Sequence[FloatArray],
-    *,
-    plan: TrackPlan,
-    name: str,
-    colour: Colour,
-    width: float = 1.2,
-    interpolation: Interpolation = "Linear",
-) -> None:
-    """One channel of all records as one entity.
-
-    Args:
-        recording: the stream.
-        path: its entity.
-        times: from `time_axis`.
-        channels: the channel's samples in each record, nan where missing.
-        plan: of the recording.
-        name: as it reads in the legend.
-        colour: of the line.
-        width: of the line, in points.
-        interpolation: "StepAfter" for an input that was held between samples.
-    """
-    line = Line(channels=channels, name=name, colour=colour, width=width)
-    log_lines(recording, path, times, [line], plan=plan, interpolation=interpolation)
-
-
 def log_lines(
-    recording: "rerun.RecordingStream",
+    recording: RecordingStream,
     path: str,
     times: FloatArray,
     lines: Sequence[Line],
     *,
-    plan: TrackPlan,
+    plan: StoredRecords,
     interpolation: Interpolation = "Linear",
 ) -> None:
     """Several channels of all records as one entity, painted in their order: two in one take a third less than apart.
 
     Where they do not miss the same samples they become an entity each, below `path`: a row holds all of its channels
     or none.
-
-    Args:
-        recording: the stream.
-        path: their entity.
-        times: from `time_axis`.
-        lines: the channels.
-        plan: of the recording.
-        interpolation: "StepAfter" for an input that was held between samples.
     """
-    import rerun as rr
-
     values = np.column_stack([_stored(line.channels, plan) for line in lines])
     there = ~np.isnan(values)
     if len(lines) > 1 and (there != there[:, :1]).any():
@@ -361,7 +299,7 @@ def log_lines(
     recording.log(path, style, static=True, strict=True)
 
 
-def _stored(channels: Sequence[FloatArray], plan: TrackPlan) -> FloatArray:
+def _stored(channels: Sequence[FloatArray], plan: StoredRecords) -> FloatArray:
     """What is kept of a channel, the records one after the other with a nan between them."""
     gap = np.array([np.nan])
     parts = [part for values, kept in zip(channels, plan.levels, strict=True) for part in (thinned(values, kept), gap)]
@@ -369,7 +307,7 @@ def _stored(channels: Sequence[FloatArray], plan: TrackPlan) -> FloatArray:
 
 
 def log_sequence(
-    recording: "rerun.RecordingStream",
+    recording: RecordingStream,
     path: str,
     *,
     timeline: str,
@@ -387,8 +325,6 @@ def log_sequence(
         values: (n, n_series).
         names: of the series.
     """
-    import rerun as rr
-
     recording.send_columns(
         path,
         [rr.TimeColumn(timeline, sequence=np.asarray(index, dtype=np.int64))],

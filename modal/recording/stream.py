@@ -1,4 +1,4 @@
-"""One result into one stream, and one stream into one file.
+"""One result into one stream, one stream into one file; the table of a batch as a recording of its own.
 
 How a recording opens stands here too: a page is a container of views with a name, made beside what the page draws; a
 further page is one function more in `_pages` or in `diagnosis_blueprint`.
@@ -6,15 +6,19 @@ further page is one function more in `_pages` or in `diagnosis_blueprint`.
 
 import hashlib
 import os
-import secrets
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import Any, Final, Literal
+
+import numpy as np
 
 from modal.discrepancy.results import Diagnosis, in_words
+from modal.geometry.sensors import Geometry
 from modal.identification.result import Identification
+from modal.plots.histories import frequencies_of_records, places_of_records
+from modal.quality.findings import DataQuality
 from modal.recording.discrepancy.page import (
     GAP_TEXT,
     HYPOTHESES,
@@ -32,45 +36,62 @@ from modal.recording.discrepancy.page import (
     spectrum_pane,
 )
 from modal.recording.discrepancy.series import DiscrepancyPlan, diagnosis_tables, planned_diagnosis
-from modal.recording.figure import document_view, plot_view, series_view
+from modal.recording.figure import (
+    Blueprint,
+    Pane,
+    RecordingStream,
+    document_view,
+    log_chart,
+    plot_view,
+    rr,
+    rrb,
+    series_view,
+    tabs,
+)
 from modal.recording.identification.fit import fit_page, log_fit_page, log_response_page, response_page
 from modal.recording.identification.modes import log_modes_page, modes_page
 from modal.recording.identification.order import ORDER_FIT, ORDER_TEXT, SINGULAR_VALUES, STABILISATION, log_order_page
 from modal.recording.identification.record import log_record_page, record_page
 from modal.recording.identification.shapes import Swinging
 from modal.recording.identification.validation import log_validation_page, validation_page
-from modal.recording.plan import Gathered, Plan, gather, label, name_with_unit, planned
-from modal.recording.series import TIMELINE, Span
+from modal.recording.plan import Gathered, Plan, cell, gather, label, name_with_unit, planned
+from modal.recording.series import TIMELINE, StoredRecords
+from modal.recording.tables import WordLimits, bullets, log_table, log_text, table
 from modal.sections.discrepancy_stages import level_lines
 from okid.arrays import require
 from okid.errors import InvalidDataError
+from okid.readers.guard import Existing, complete_file
 from okid.record import Record
-
-if TYPE_CHECKING:
-    import rerun
-    import rerun.blueprint
-
-    from modal.geometry.sensors import Geometry
-    from modal.quality.findings import DataQuality
 
 GLOBAL_AXIS: Final = uuid.UUID("5c0dca6a-e63f-9cf7-f657-2602590474cc")
 """The view whose time range all linked views share, by its fixed identity in Rerun's viewer (`GLOBAL_VIEW_ID`)."""
 
 SECONDS_A_PERIOD: Final = 2.0
-ORDERS_A_SECOND: Final = 4.0
+SECONDS_AN_ORDER: Final = 0.25
 """Play the oscillating shapes and the growing order so fast."""
 
 
-def blueprint(identification: Identification, plan: Plan, evidence: Gathered) -> "rerun.blueprint.Blueprint":
+def blueprint(identification: Identification, plan: Plan, evidence: Gathered) -> Blueprint:
     """The whole layout for one identification."""
-    return whole_blueprint(_pages(identification, plan, evidence), plan)
+    return whole_blueprint(_pages(identification, plan, evidence), plan.data)
 
 
-def whole_blueprint(pages: Sequence[Any], plan: Span) -> "rerun.blueprint.Blueprint":
-    """The pages as tabs on the timeline "time", paused at its start, everything else out of the way."""
-    import rerun.blueprint as rrb
+def whole_blueprint(
+    pages: Sequence[Any],
+    plan: StoredRecords,
+    *,
+    length: float = Swinging.PERIODS * SECONDS_A_PERIOD,
+    a_place: float = SECONDS_AN_ORDER,
+) -> Blueprint:
+    """The pages as tabs on the timeline "time", paused at its start, everything else out of the way.
 
-    speed = max(plan.stop - plan.start, 1e-6) / (Swinging.PERIODS * SECONDS_A_PERIOD)
+    Args:
+        pages: in their order.
+        plan: of the recording.
+        length: seconds in which "time" plays from its start to its end.
+        a_place: seconds for each place of the timeline that counts ("model_order", "step"): the speed holds there too.
+    """
+    speed = max(plan.stop - plan.start, 1e-6) / length
     return rrb.Blueprint(
         rrb.Tabs(*pages, active_tab=0),
         rrb.TimePanel(
@@ -79,7 +100,7 @@ def whole_blueprint(pages: Sequence[Any], plan: Span) -> "rerun.blueprint.Bluepr
             play_state="paused",
             loop_mode="all",
             playback_speed=speed,
-            fps=ORDERS_A_SECOND / speed,  # of the timeline "model_order", to which the speed applies as well
+            fps=1.0 / (a_place * speed),
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
@@ -96,14 +117,12 @@ def _pages(identification: Identification, plan: Plan, evidence: Gathered) -> li
         modes_page(identification, plan),
         validation_page(identification, plan, evidence),
     ]
-    show_whole_record(pages[0], plan)
+    show_whole_record(pages[0], plan.data)
     return pages
 
 
-def show_whole_record(page: Any, plan: Span) -> None:
+def show_whole_record(page: Any, plan: StoredRecords) -> None:
     """Let all linked views open on the whole timeline: their common range is kept with one view of a fixed identity."""
-    import rerun.blueprint as rrb
-
     views = [page]
     while not isinstance(views[0], rrb.TimeSeriesView):
         views = [*views[0].contents, *views[1:]] if isinstance(views[0], rrb.api.Container) else views[1:]
@@ -115,8 +134,6 @@ def show_whole_record(page: Any, plan: Span) -> None:
 
 
 def _order_page(identification: Identification) -> Any:
-    import rerun.blueprint as rrb
-
     left: list[Any] = [plot_view(SINGULAR_VALUES, "Hankel singular values")]
     if identification.order_evidence.candidate_orders.size:
         left.append(plot_view(ORDER_FIT, "Fit against order"))
@@ -135,10 +152,8 @@ SECONDS_A_STEP = 1.5
 """Let a step stand so long while the page plays."""
 
 
-def diagnosis_blueprint(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> "rerun.blueprint.Blueprint":
+def diagnosis_blueprint(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> Blueprint:
     """The whole layout for one diagnosis."""
-    import rerun.blueprint as rrb
-
     pages = [_discrepancy_page(diagnosis, plan)]
     if plan.step_gaps:
         pages.append(_steps_page(diagnosis, plan))
@@ -148,45 +163,27 @@ def diagnosis_blueprint(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> "rerun.b
         _outputs_page(diagnosis, plan),
         _numbers_page(diagnosis, plan),
     ]
-    speed = max(plan.stop - plan.start, 1e-6) / (SECONDS_A_STEP * max(1, len(plan.step_gaps) - 1))
-    return rrb.Blueprint(
-        rrb.Tabs(*pages, active_tab=0),
-        rrb.TimePanel(
-            timeline=TIMELINE,
-            state="collapsed",
-            play_state="paused",
-            loop_mode="all",
-            playback_speed=speed,
-            fps=1.0 / (SECONDS_A_STEP * speed),  # of the timeline "step", to which the speed applies as well
-        ),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        auto_views=False,
-        auto_layout=False,
-    )
+    length = SECONDS_A_STEP * max(1, len(plan.step_gaps) - 1)
+    return whole_blueprint(pages, plan, length=length, a_place=SECONDS_A_STEP)
 
 
 def _discrepancy_page(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> Any:
     """Gap over time on the whole width; below it spectrum, hypotheses, verdict."""
-    import rerun.blueprint as rrb
-
     outputs = _in_front(plan)
     above = [_gap_view(diagnosis, plan, output) for output in outputs]
     verdict = document_view(VERDICT_TEXT, "Verdict")
     below: list[Any] = []
     if plan.stages:
-        below.append(_tabs([plot_view(spectrum_pane(i), _spectrum_name(diagnosis, i)) for i in outputs], "Spectra"))
+        below.append(tabs([plot_view(spectrum_pane(i), _spectrum_name(diagnosis, i)) for i in outputs], "Spectra"))
     if diagnosis.hypotheses:
         below.append(plot_view(HYPOTHESES, "What was tried"))
     lower = rrb.Horizontal(*below, verdict, column_shares=[1.0] * len(below) + [1.15], name="What is missing")
-    page = rrb.Vertical(_tabs(above, "Outputs"), lower, row_shares=[1.0, 1.25], name="Discrepancy")
+    page = rrb.Vertical(tabs(above, "Outputs"), lower, row_shares=[1.0, 1.25], name="Discrepancy")
     show_whole_record(page, plan)
     return page
 
 
 def _steps_page(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> Any:
-    import rerun.blueprint as rrb
-
     name = label(diagnosis.held_out[0].output_names[plan.output])
     below = rrb.Horizontal(
         plot_view(STEP_SPECTRUM, f"Spectrum of the gap of {name}"),
@@ -200,8 +197,6 @@ def _steps_page(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> Any:
 
 
 def _law_page(diagnosis: Diagnosis) -> Any:
-    import rerun.blueprint as rrb
-
     words = document_view(LAW_TEXT, "Findings")
     views = [plot_view(pane, law_title(law)) for pane, law in zip(law_panes(diagnosis), diagnosis.laws, strict=False)]
     if not views:
@@ -212,15 +207,11 @@ def _law_page(diagnosis: Diagnosis) -> Any:
 
 def _levels_page(diagnosis: Diagnosis) -> list[Any]:
     """Modes against level, where they tell something; else no page."""
-    import rerun.blueprint as rrb
-
     known = bool(level_lines(diagnosis))
     return [rrb.Vertical(plot_view(LEVELS, "Modes against level"), name="Levels")] if known else []
 
 
 def _outputs_page(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> Any:
-    import rerun.blueprint as rrb
-
     first = diagnosis.held_out[0]
     views = [
         series_view(
@@ -234,13 +225,11 @@ def _outputs_page(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> Any:
 
 
 def _numbers_page(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> Any:
-    import rerun.blueprint as rrb
-
     views = []
-    for table in diagnosis_tables(diagnosis, plan):
-        columns = [table.timeline, *(f"/{table.path}:{name}" for name in table.columns)]
-        query = rrb.archetypes.DataframeQuery(timeline=table.timeline, select=columns)
-        views.append(rrb.DataframeView(origin=table.path, name=table.title, query=query))
+    for one in diagnosis_tables(diagnosis, plan):
+        columns = [one.timeline, *(f"/{one.path}:{name}" for name in one.columns)]
+        query = rrb.archetypes.DataframeQuery(timeline=one.timeline, select=columns)
+        views.append(rrb.DataframeView(origin=one.path, name=one.title, query=query))
     return rrb.Tabs(*views, active_tab=0, name="Numbers")
 
 
@@ -259,22 +248,16 @@ def _spectrum_name(diagnosis: Diagnosis, output: int) -> str:
     return f"Gap over frequency: {label(diagnosis.held_out[0].output_names[output], 18)}"
 
 
-def _tabs(views: list[Any], name: str) -> Any:
-    import rerun.blueprint as rrb
-
-    return rrb.Tabs(*views, active_tab=0, name=name) if len(views) > 1 else views[0]
-
-
 APPLICATION: Final = "modal-report"
 
 
 def log_identification(
     identification: Identification,
-    recording: "rerun.RecordingStream",
+    recording: RecordingStream,
     *,
     layout: Literal["send", "leave"] = "send",
-    geometry: "Geometry | None" = None,
-    quality: "DataQuality | None" = None,
+    geometry: Geometry | None = None,
+    quality: DataQuality | None = None,
 ) -> None:
     """Log a whole identification into a Rerun stream: "Record", "Observer fit", "Order", "Modes" and "Validation".
 
@@ -309,7 +292,7 @@ def log_identification(
             log_modes_page(identification, recording, plan)
             if layout == "send":
                 pages = [response_page(), _order_page(identification), modes_page(identification, plan)]
-                recording.send_blueprint(whole_blueprint(pages, plan))
+                recording.send_blueprint(whole_blueprint(pages, plan.data))
             return
         evidence = gather(identification, quality)
         log_record_page(identification.records, recording, plan.data, evidence.quality)
@@ -322,7 +305,7 @@ def log_identification(
 
 
 def log_diagnosis(
-    diagnosis: Diagnosis, recording: "rerun.RecordingStream", *, layout: Literal["send", "leave"] = "send"
+    diagnosis: Diagnosis, recording: RecordingStream, *, layout: Literal["send", "leave"] = "send"
 ) -> None:
     """Log a whole diagnosis into a Rerun stream: "Discrepancy", "Step by step", "Laws", "Outputs" and "Numbers".
 
@@ -354,9 +337,9 @@ def save_recording(
     result: Identification | Diagnosis,
     path: str | os.PathLike[str],
     *,
-    existing: Literal["refuse", "replace"] = "refuse",
-    geometry: "Geometry | None" = None,
-    quality: "DataQuality | None" = None,
+    existing: Existing = "refuse",
+    geometry: Geometry | None = None,
+    quality: DataQuality | None = None,
 ) -> Path:
     """Write a Rerun recording of a result, to be opened with `rerun FILE`.
 
@@ -386,7 +369,7 @@ def save_recording(
         raise InvalidDataError(f"the folder {target.parent} for the recording does not exist; make it first.")
     _check_free(target, existing)
 
-    def log(recording: "rerun.RecordingStream") -> None:
+    def log(recording: RecordingStream) -> None:
         if isinstance(result, Diagnosis):
             log_diagnosis(result, recording)
         else:
@@ -402,9 +385,9 @@ def write_stream(
     path: Path,
     identity: str,
     name: str,
-    log: "Callable[[rerun.RecordingStream], None]",
+    log: Callable[[RecordingStream], None],
     *,
-    existing: Literal["refuse", "replace"] = "replace",
+    existing: Existing = "replace",
 ) -> Path:
     """One recording into one file, which appears under its name when it is complete.
 
@@ -421,8 +404,6 @@ def write_stream(
     Raises:
         OSError: the file cannot be written.
     """
-    import rerun as rr
-
     recording = rr.RecordingStream(APPLICATION, recording_id=identity)
     recording.set_log_time_enabled(False)
     memory = recording.memory_recording()
@@ -431,13 +412,9 @@ def write_stream(
         log(recording)
     content = memory.drain_as_bytes()
     recording.disconnect()
-    part = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
-    try:
+    with complete_file(path) as part:
         part.write_bytes(content)
         _check_free(path, existing)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
     return path
 
 
@@ -483,7 +460,7 @@ def _digest_records(digest: "hashlib.blake2b", records: Sequence[Record]) -> Non
         digest.update(record.outputs[::step].tobytes())
 
 
-def _check_free(target: Path, existing: Literal["refuse", "replace"]) -> None:
+def _check_free(target: Path, existing: Existing) -> None:
     if target.is_dir():
         raise InvalidDataError(f"{target} is a folder; name a file for the recording.")
     if existing == "refuse" and target.exists():
@@ -493,11 +470,81 @@ def _check_free(target: Path, existing: Literal["refuse", "replace"]) -> None:
 @contextmanager
 def strict_errors() -> Iterator[None]:
     """Errors of the SDK raise instead of leaving data out with a warning; the caller's setting comes back after."""
-    import rerun as rr
-
     before = rr.strict_mode()
     rr.set_strict_mode(True)
     try:
         yield
     finally:
         rr.set_strict_mode(before)
+
+
+FREQUENCIES: Final = Pane(path="batch/frequencies", width=1500.0, height=760.0)
+WORDS: Final = "batch/words"
+MODES: Final = "batch/modes"
+RECORDS: Final = "batch/records"
+
+
+def save_batch_recording(names: Sequence[str], modes: Any, records: Any, path: Path) -> Path:
+    """Write the recording of a batch; the same tables give the same recording.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    frequency, deviation, damping, probability = (
+        modes.column(name).to_numpy(zero_copy_only=False)
+        for name in ("frequency", "frequency_std", "damping_ratio", "probability")
+    )
+    verdicts, number = modes.column("verdict").to_pylist(), {name: place for place, name in enumerate(names)}
+    row = np.array([number[name] for name in modes.column("record").to_pylist()], dtype=np.intp)
+    starts = np.zeros(len(names))
+    starts[row] = modes.column("start_time").to_numpy(zero_copy_only=False)
+    seen = np.unique(row)
+    along, label = places_of_records(starts[seen], seen + 1)
+    places = np.full(len(names), np.nan)
+    places[seen] = along
+    digest = hashlib.blake2b(repr(names).encode("utf-8", "backslashreplace"), digest_size=12)
+    digest.update(frequency.tobytes() + deviation.tobytes())
+
+    def log(recording: RecordingStream) -> None:
+        chart = frequencies_of_records(places[row], frequency, verdicts, along=label)
+        log_chart(recording, FREQUENCIES, chart)
+        log_table(
+            recording,
+            MODES,
+            "mode_row",
+            np.arange(row.size),
+            {
+                "record": modes.column("record").to_pylist(),
+                "frequency": frequency,
+                "frequency_std": deviation,
+                "damping_ratio": damping,
+                "probability": probability,
+                "verdict": verdicts,
+            },
+        )
+        told = {name: records.column(name).to_pylist() for name in ("record", "path", "hash", "status", "message")}
+        log_table(recording, RECORDS, "record_row", np.arange(len(names)), told)
+        log_text(recording, WORDS, _words(told))
+        views = [plot_view(FREQUENCIES, "Frequencies"), document_view(WORDS, "Records")]
+        for entity, timeline in ((MODES, "mode_row"), (RECORDS, "record_row")):
+            query = rrb.archetypes.DataframeQuery(timeline=timeline)
+            views.append(rrb.DataframeView(origin=entity, name=entity.rpartition("/")[2].capitalize(), query=query))
+        page = rrb.Vertical(views[0], rrb.Tabs(*views[1:], active_tab=0), row_shares=[1.4, 1.0], name="Batch")
+        recording.send_blueprint(
+            rrb.Blueprint(page, rrb.TimePanel(state="hidden"), auto_views=False, auto_layout=False)
+        )
+
+    return write_stream(path, digest.hexdigest(), "batch", log)
+
+
+def _words(told: dict[str, list[str]]) -> str:
+    failed = [row for row in zip(told["record"], told["status"], told["message"], strict=True) if row[2]]
+    n_failed = told["status"].count("failed")
+    head = f"### {len(told['record'])} records, {n_failed} failed"
+    if not failed:
+        return head
+    rows = [[cell(name, 60), status, cell(message)] for name, status, message in failed[: WordLimits.LISTED]]
+    more = (
+        bullets([f"and {len(failed) - WordLimits.LISTED} more in the table"]) if len(failed) > WordLimits.LISTED else []
+    )
+    return "\n\n".join([head, table(["record", "status", "message"], rows), *more])

@@ -5,23 +5,21 @@ one result compare equal (nan never equals nan).
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from modal.identification.result import Identification
+from modal.recording.figure import RecordingStream, rr
 from modal.recording.plan import Plan, Views, cell
 from modal.sections.words import data_sentences, modes_headline
-
-if TYPE_CHECKING:
-    import rerun
 
 MATRIX: Final = 2
 
 
 def log_table(
-    recording: "rerun.RecordingStream",
+    recording: RecordingStream,
     path: str,
     timeline: str,
     index: npt.ArrayLike,
@@ -37,8 +35,6 @@ def log_table(
         columns: by name, n_rows values each: numbers, words, or sequences of numbers for a list in each cell; an array
             (n_rows, n) is the same, quick, and a row of it that is nan throughout is left out.
     """
-    import rerun as rr
-
     rows = np.asarray(index, dtype=np.int64)
     if not rows.size:
         return
@@ -59,7 +55,6 @@ def log_table(
 def _lists(name: str, values: npt.NDArray[np.float64]) -> list[object]:
     """A list of numbers in each cell, none where nothing is known; in Arrow's form, so that Rerun need not look."""
     import pyarrow as pa
-    import rerun as rr
 
     there = ~np.isnan(values).all(axis=1)
     if not there.any() or not values.shape[1]:
@@ -99,17 +94,17 @@ def fit_page_text(identification: Identification, plan: Plan) -> str:
     parts += [f"**Read this:** {cell(warning)}" for warning in identification.warnings]
     seen = "the model sees the inputs alone" if first.n_inputs else "the model predicts one step ahead, without inputs,"
     parts.append(
-        f"Cross-validated fit **{_share(fit.mean)}**, mean over outputs: {seen} and is scored on rows that it was not "
-        "fitted to."
+        f"Cross-validated fit **{known(100 * fit.mean, '.1f', ' %')}**, mean over outputs: {seen} and is scored on "
+        "rows that it was not fitted to."
     )
     listed = range(min(first.n_outputs, WordLimits.LISTED))
     rows = [
         [
             cell(first.output_names[i], 24),
-            cell(first.output_units[i], 12) if first.output_units[i] else UNKNOWN,
-            f"**{_share(fit.cross_validated[i])}**",
-            _share(fit.whole[i]),
-            _share(fit.one_step[i]),
+            unit_cell(first.output_units[i]),
+            f"**{known(100 * fit.cross_validated[i], '.1f', ' %')}**",
+            known(100 * fit.whole[i], ".1f", " %"),
+            known(100 * fit.one_step[i], ".1f", " %"),
         ]
         for i in listed
     ]
@@ -139,14 +134,14 @@ def _observer_line(identification: Identification) -> str:
         return ""
     first = identification.records[0]
     n_samples = sum(record.n_samples for record in identification.records)
-    correlation = f"; correlation with the input: {_number(residuals.input_correlation_ratio, 2)}" * bool(
+    correlation = f"; correlation with the input: {known(residuals.input_correlation_ratio, '.2f')}" * bool(
         first.n_inputs
     )
     return (
         f"Observer order **{observer.order}**, model order **{identification.realisation.order}**; {first.n_inputs} "
         f"input{'s' * (first.n_inputs != 1)}, {first.n_outputs} output{'s' * (first.n_outputs != 1)}, {n_samples} "
         f"samples at {first.sampling_frequency:.6g} Hz, {observer.n_rows} complete rows fitted. Whiteness of the "
-        f"one-step residual: {_number(residuals.whiteness_ratio, 2)} (1 is white, above 2 is not){correlation}."
+        f"one-step residual: {known(residuals.whiteness_ratio, '.2f')} (1 is white, above 2 is not){correlation}."
     )
 
 
@@ -193,9 +188,16 @@ def bullets(*groups: Sequence[str]) -> list[str]:
     return ["\n".join(lines)] if lines else []
 
 
-def _share(value: float) -> str:
-    return f"{100 * value:.1f} %" if np.isfinite(value) else UNKNOWN
+def known(value: float, form: str, unit: str = "") -> str:
+    """The value in this form and unit, a dash where it is none."""
+    return f"{value:{form}}{unit}" if np.isfinite(value) else UNKNOWN
 
 
-def _number(value: float, decimals: int) -> str:
-    return f"{value:.{decimals}f}" if np.isfinite(value) else UNKNOWN
+def unit_cell(unit: str, longest: int = 12) -> str:
+    """A unit for a table, a dash where there is none."""
+    return cell(unit, longest) if unit else UNKNOWN
+
+
+def log_text(recording: RecordingStream, path: str, text: str) -> None:
+    """Words in Markdown that stand from beginning to end."""
+    recording.log(path, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True, strict=True)

@@ -11,11 +11,12 @@ from modal.comparison.changes import Comparison, ModePair, Unmatched
 from modal.comparison.shifts import ResultSummary, Shift
 from modal.identification.words import damping_text
 from modal.modes.mode import Mode
-from modal.report.folder import Existing, refuse_names, write_folder
+from modal.report.folder import FileSet, write_folder
 from modal.report.machine import as_json
 from modal.report.pages import environment
 from modal.sections.provenance import installed_version
 from modal.wording.text import fit_text, hertz, ratio_text
+from okid.readers.guard import Existing
 
 MIDDLE, ARM = 100.0, 92.0
 """Of a drawn interval, in a box 200 wide: the line of no change, and the longest arm to either side."""
@@ -125,14 +126,8 @@ COMPARISON_SCHEMA = "modal-report-comparison/1"
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class ComparisonFiles:
-    """Where the files of a comparison are.
-
-    Attributes:
-        html: self-contained page.
-        markdown: the same words and tables.
-        json: every number.
-    """
+class ComparisonFiles(FileSet):
+    """Where the files of a comparison are."""
 
     html: Path
     markdown: Path
@@ -143,21 +138,11 @@ class ComparisonFiles:
         """The names that they have in a folder."""
         return cls(html=folder / "comparison.html", markdown=folder / "comparison.md", json=folder / "comparison.json")
 
-    @property
-    def names(self) -> list[str]:
-        """File names alone."""
-        return [path.name for path in (self.html, self.markdown, self.json)]
-
 
 def write_comparison(
     comparison: Comparison, folder: str | os.PathLike[str], *, existing: Existing = "refuse"
 ) -> ComparisonFiles:
     """Write a comparison into a folder, all files or none; the same comparison gives the same bytes.
-
-    Args:
-        comparison: of `modal.comparison.changes.compare_results`.
-        folder: made if it does not exist.
-        existing: "refuse" to touch a folder that holds one of the files, or "replace" those files.
 
     Raises:
         InvalidDataError: a file exists already, or the folder cannot be written.
@@ -172,15 +157,6 @@ def write_comparison(
 
     write_folder(target, ComparisonFiles.in_folder(target).names, write, existing=existing)
     return ComparisonFiles.in_folder(target)
-
-
-def refuse_existing_comparison(folder: Path, existing: Existing) -> None:
-    """Raise before any work is done when a comparison could not be written.
-
-    Raises:
-        InvalidDataError: as in `write_comparison`.
-    """
-    refuse_names(folder, ComparisonFiles.in_folder(folder).names, existing)
 
 
 def comparison_json(comparison: Comparison) -> str:

@@ -13,14 +13,16 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import fields
 from pathlib import Path
 from types import FrameType
-from typing import Literal
+from typing import Any
+
+from okid.errors import InvalidDataError
+from okid.readers.guard import Existing
 
 if sys.platform != "win32":  # there, a rename onto what is there fails by itself
     import fcntl
-
-from okid.errors import InvalidDataError
 
 STOPS = tuple(
     number
@@ -53,10 +55,6 @@ def uninterrupted() -> Iterator[None]:
             signal.signal(number, handler)
         if asked:
             signal.raise_signal(asked[0][0])
-
-
-Existing = Literal["refuse", "replace"]
-"""What to do with files of a report that are already there."""
 
 
 def write_folder(
@@ -138,9 +136,6 @@ def scratch_folder(parent: Path) -> Iterator[Path]:
     """A folder to work in, gone when the block ends; those that dead runs have left beside it go first.
 
     Who works in a folder holds a lock on it, which the system lets go when the process ends in whatever way.
-
-    Args:
-        parent: where to make it.
     """
     sweep(parent)
     while True:
@@ -201,6 +196,21 @@ def _locked(folder: Path, *, wait: bool) -> int | None:
 def _unlocked(lock: int | None) -> None:
     if lock is not None:
         os.close(lock)
+
+
+class FileSet:
+    """The files of a report, a frozen dataclass of paths; None for one that there is not."""
+
+    __slots__ = ()
+
+    def __iter__(self) -> Iterator[Path]:
+        own: Any = self  # a dataclass: this class has no fields of its own
+        return (path for field in fields(own) if (path := getattr(self, field.name)) is not None)
+
+    @property
+    def names(self) -> list[str]:
+        """File names alone."""
+        return [path.name for path in self]
 
 
 def refuse_names(folder: Path, names: Iterable[str], existing: Existing) -> None:

@@ -66,9 +66,6 @@ def schema_file() -> Path:
 def type_schema(hint: Any) -> dict[str, Any]:
     """The schema of what JSON holds for a value of a type.
 
-    Args:
-        hint: a type as it stands in a field of a frozen dataclass.
-
     Raises:
         TypeError: a type that no result has.
 
@@ -109,10 +106,7 @@ def described(kind: Any, *, leave_out: tuple[str, ...] = (), more: dict[str, Any
             properties[field.name] = {**description, **type_schema(hints[field.name])}
     return {
         "description": (inspect.getdoc(kind) or "").split("\n\n")[0].replace("\n", " "),
-        "type": "object",
-        "properties": properties,
-        "required": list(properties),
-        "additionalProperties": False,
+        **_closed(properties),
     }
 
 
@@ -199,14 +193,14 @@ def document_schema() -> dict[str, Any]:
         "title": "Report of a modal identification",
         "description": "The numbers. Time histories, coefficients of the observer, pulse responses and the "
         "poles of the other model orders are in result.npz alone (modal.load). A number that is not finite is null.",
-        **_object(properties),
+        **_closed(properties),
         "$defs": {"numbers": NUMBERS},
     }
 
 
 def _modes() -> dict[str, Any]:
     number = {"description": "of the mode on every page: modes of the system first", "type": "integer", "minimum": 1}
-    return _object(
+    return _closed(
         {
             "indicator_caution": {"description": "n / (p q): model order over observer order times outputs", **NUMBER},
             "indicators_missing": {"description": "why the indicators are null", "type": "string"},
@@ -216,7 +210,7 @@ def _modes() -> dict[str, Any]:
 
 
 def _uncertainty() -> dict[str, Any]:
-    return _object(
+    return _closed(
         {
             "method": {"enum": ["output error", "propagation"]},
             "degrees_of_freedom": {"description": "of the residuals; null where infinite", **NUMBER},
@@ -228,8 +222,8 @@ def _test() -> dict[str, Any]:
     text = {"type": "string"}
     day = _nullable({"type": "string", "format": "date"})
     words = ("channel", "kind", "maker", "model", "serial", "sensitivity", "dof", "note")
-    sensor = _object({**dict.fromkeys(words, text), "calibrated": day})
-    return _object(
+    sensor = _closed({**dict.fromkeys(words, text), "calibrated": day})
+    return _closed(
         {
             **dict.fromkeys(("article", "operator", "place", "notes"), text),
             "date": day,
@@ -240,7 +234,7 @@ def _test() -> dict[str, Any]:
 
 def _limit() -> dict[str, Any]:
     text = {"type": "string"}
-    return _object(
+    return _closed(
         {
             **dict.fromkeys(("what", "required", "found", "sentence", "reason"), text),
             "state": {"enum": ["met", "not met", "cannot be told"]},
@@ -252,10 +246,6 @@ def _nullable(schema: dict[str, Any]) -> dict[str, Any]:
     return {"anyOf": [schema, {"type": "null"}]}
 
 
-def _object(properties: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "object", "properties": properties, "required": list(properties), "additionalProperties": False}
-
-
 _MODE_NUMBERS = tuple(
     field.name
     for field in fields(Mode)
@@ -265,13 +255,7 @@ _MODE_NUMBERS = tuple(
 
 
 def json_text(result: Identification, provenance: Provenance, *, specification: Specification | None = None) -> str:
-    """The result without its time histories and its `LARGE` arrays; nan is null, a complex number is [real, imaginary].
-
-    Args:
-        result: of `modal.identify`.
-        provenance: where it comes from.
-        specification: of the test; the outcomes of its limits are among the numbers.
-    """
+    """The result without time histories and `LARGE` arrays; nan is null, a complex number is [real, imaginary]."""
     judgement = trust_of(result)
     document = {
         "schema": SCHEMA,

@@ -48,16 +48,8 @@ if TYPE_CHECKING:
 class PageLimits:
     """How much a page shows."""
 
-    MOST_MOVING: Final = 24
-    """Modes that can be chosen."""
-    MOST_NODES: Final = 1500
-    """Nodes of a structure that a page turns smoothly; a larger one is left to the recording."""
-    MOST_DEFLECTIONS: Final = 12_000
-    """Nodes times modes: about half a megabyte of the page. Of a large structure fewer modes can be chosen."""
     MOST_SUMMED_UP: Final = 10
     """Modes of the system on the page of the verdict; the table of all poles has all of them."""
-    MOST_CHANNELS: Final = 10
-    """Show so many channels, the worst first; the others are folded."""
     MOST_FINDINGS: Final = 40
     """Findings on the data that are shown, the worst first."""
 
@@ -76,18 +68,13 @@ def placement_of(result: Identification, setting: Setting) -> Placement:
 
 
 def moving_shapes(result: Identification, setting: Setting) -> "Markup | str":
-    """Nodes, lines and deflections as JSON without any letter that could end a tag; "" where there is nothing to move.
-
-    Args:
-        result: of `modal.identify`.
-        setting: with the geometry, if there is one.
-    """
+    """Nodes, lines and deflections as JSON without any letter that could end a tag; "" where nothing is to move."""
     from markupsafe import Markup
 
     placement = placement_of(result, setting)
     geometry = placement.geometry
-    modes = result.modes.system[: min(PageLimits.MOST_MOVING, PageLimits.MOST_DEFLECTIONS // max(1, geometry.n_nodes))]
-    if not modes or geometry.n_nodes > PageLimits.MOST_NODES:
+    modes = result.modes.system[: min(24, 12_000 // max(1, geometry.n_nodes))]  # about half a megabyte of the page
+    if not modes or geometry.n_nodes > 1500:  # a larger one is left to the recording
         return ""
     deflections = [placement.deflection(mode) for mode in modes]
     centre = (geometry.positions.max(axis=0) + geometry.positions.min(axis=0)) / 2
@@ -226,15 +213,7 @@ def html_text(
     *,
     beside: str = "",
 ) -> str:
-    """One page that needs nothing but itself.
-
-    Args:
-        result: of `modal.identify`.
-        provenance: command and files.
-        pictures: of `draw_pictures`.
-        setting: what is known besides the result.
-        beside: the other files of the report, in words.
-    """
+    """One page that needs nothing but itself."""
     drawn = {name: inline(picture) for name, picture in pictures.items()}
     script, script_hash = page_script()
     template = environment(html=True).get_template("report.html.j2")
@@ -315,7 +294,7 @@ def _data_values(result: Identification, setting: Setting) -> dict[str, object]:
     return {
         "about": about_lines(setting.specification),
         "channels": channel_rows(result, setting.specification, quality),
-        "most_channels": PageLimits.MOST_CHANNELS,
+        "most_channels": 10,  # the others are folded
         "sensor_columns": sensor_columns(setting.specification),
         "quality": quality,
         "quality_of": setting.quality_of,

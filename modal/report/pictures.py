@@ -2,15 +2,17 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from era.realisation import Realisation
 from modal import plots
-from modal.acceptance.check import check_limits
+from modal.acceptance.check import LimitOutcome, check_limits
+from modal.acceptance.test_file import Specification
 from modal.geometry.placement import guessed_grid
 from modal.geometry.scene import comparison_words
+from modal.geometry.sensors import Geometry
 from modal.identification.result import Identification, OrderEvidence
 from modal.modes.response_synthesis import MeasuredFrf, measured_frf, tabled_frf
 from modal.plots.layout import Chart
@@ -25,27 +27,15 @@ from modal.plots.results import (
     synthesised_alone,
 )
 from modal.plots.vector import Notes, chart_text, svg_text
-from modal.quality import check_quality
+from modal.quality import DataQuality, check_quality
 from modal.wording.text import hertz
 from okid.arrays import FloatArray
 from okid.errors import InsufficientDataError
 
-if TYPE_CHECKING:
-    from modal.acceptance.check import LimitOutcome
-    from modal.acceptance.test_file import Specification
-    from modal.geometry.sensors import Geometry
-    from modal.quality import DataQuality
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Picture:
-    """One picture for a page.
-
-    Attributes:
-        svg: the `<svg>` element.
-        caption: what there is to see.
-        chart: numbers behind the picture as JSON, "" where there is nothing to read off.
-    """
+    """One picture for a page."""
 
     svg: str
     caption: str
@@ -58,14 +48,7 @@ def drawn(figure: Chart, name: str, caption: str) -> Picture:
 
 
 def readable(figure: Chart, name: str, caption: str, *, notes: Mapping[str, Notes] | None = None) -> Picture:
-    """A picture that a script can read values off and whose lines it can hide.
-
-    Args:
-        figure: of `modal.plots`.
-        name: of the picture in its page.
-        caption: what there is to see.
-        notes: more on the points of the lines with these labels.
-    """
+    """A picture that a script can read values off and whose lines it can hide."""
     svg = svg_text(figure, name=name, description=caption)
     return Picture(svg=svg, caption=caption, chart=chart_text(figure, name, notes=notes))
 
@@ -115,11 +98,11 @@ class Setting:
         outcomes: of each acceptance limit.
     """
 
-    specification: "Specification | None" = None
-    geometry: "Geometry | None" = None
-    quality: "DataQuality | None" = None
+    specification: Specification | None = None
+    geometry: Geometry | None = None
+    quality: DataQuality | None = None
     quality_of: str = "as used"
-    outcomes: "tuple[LimitOutcome, ...]" = ()
+    outcomes: tuple[LimitOutcome, ...] = ()
 
 
 NOTHING_BESIDES = Setting()
@@ -129,18 +112,11 @@ NOTHING_BESIDES = Setting()
 def setting_of(
     result: Identification,
     *,
-    geometry: "Geometry | None" = None,
-    specification: "Specification | None" = None,
-    quality: "DataQuality | None" = None,
+    geometry: Geometry | None = None,
+    specification: Specification | None = None,
+    quality: DataQuality | None = None,
 ) -> Setting:
-    """Look at the data, and hold the result against the limits.
-
-    Args:
-        result: of `modal.identify`.
-        geometry: of the structure; that of the specification unless given.
-        specification: what the test file says.
-        quality: of the records as they were read; the records as used are looked at unless given.
-    """
+    """Look at the data, and hold the result against the limits."""
     known = specification.geometry if specification is not None and geometry is None else geometry
     return Setting(
         specification=specification,
@@ -155,11 +131,9 @@ class PictureLimits:
     """How much the pictures of a page show."""
 
     MOST_SHAPES: Final = 12
-    MOST_PIECES: Final = 9000
-    """Pieces of lines and surfaces in all shapes together."""
+    """Draw so many shapes at most."""
     MOST_ASSURED: Final = 30
     """Shapes of the assurance matrix; the picture grows with the square of their number."""
-    MOST_LAGS: Final = 2000
 
 
 def draw_pictures(result: Identification, setting: Setting = NOTHING_BESIDES) -> dict[str, Picture]:
@@ -279,9 +253,7 @@ def _fit_pictures(result: Identification) -> dict[str, Picture]:
 
 def _markov_picture(result: Identification) -> dict[str, Picture]:
     names = result.channels
-    pulse = _pulse_response(
-        result.fitted_model or result.realisation, min(result.markov.n_lags, PictureLimits.MOST_LAGS)
-    )
+    pulse = _pulse_response(result.fitted_model or result.realisation, min(result.markov.n_lags, 2000))
     figure = plots.markov_parameters(
         result.markov, pulse, output_names=names.output_names, input_names=names.input_names
     )
@@ -334,7 +306,7 @@ def _n_drawn(setting: Setting) -> int:
     if setting.geometry is None:
         return PictureLimits.MOST_SHAPES
     pieces = sum(len(line) for line in setting.geometry.lines) + sum(len(face) for face in setting.geometry.surfaces)
-    return int(np.clip(PictureLimits.MOST_PIECES // max(1, pieces), 2, PictureLimits.MOST_SHAPES))
+    return int(np.clip(9000 // max(1, pieces), 2, PictureLimits.MOST_SHAPES))  # pieces in all shapes together
 
 
 def _first(shown: Sequence[object], system: Sequence[object]) -> str:

@@ -200,11 +200,7 @@ class GapDensity:
 
 
 def gap_density(gaps: Sequence[Gap]) -> GapDensity:
-    """Densities by Welch's method with windows of a quarter of the longest record.
-
-    Args:
-        gaps: of the states of the model, on the same records; at least one.
-    """
+    """Densities by Welch's method with windows of a quarter of the longest record."""
     records = gaps[0].measured
     n_segment = int(np.clip(max(record.n_samples for record in records) // 4, 64, 4096))
     frequency, measured = power_spectra(records, n_segment=n_segment)
@@ -220,9 +216,6 @@ def gap_density(gaps: Sequence[Gap]) -> GapDensity:
 
 def _as_records(gap: Gap) -> list[Record]:
     return [Record(np.empty((len(values), 0)), values, gap.measured[0].dt) for values in gap.residuals]
-
-
-MOST_MODES = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -249,9 +242,6 @@ class LevelLine:
 def level_lines(diagnosis: Diagnosis) -> tuple[LevelLine, ...]:
     """The modes of the records to fit that are known to move with level, or known to stay.
 
-    Args:
-        diagnosis: whose location has modes against level.
-
     Returns:
         None where measurement and simulation agree anyway, or no mode is known well enough.
     """
@@ -260,7 +250,7 @@ def level_lines(diagnosis: Diagnosis) -> tuple[LevelLine, ...]:
     if modes is None or location.agrees:
         return ()
     chosen = [mode for mode in modes.modes if telling(mode)]
-    return tuple(_line(mode, modes.levels) for mode in chosen[:MOST_MODES])
+    return tuple(_line(mode, modes.levels) for mode in chosen[:5])
 
 
 def telling(mode: LevelMode) -> bool:

@@ -21,9 +21,6 @@ NAMED_WITHIN = math.sqrt(1.5)
 """Times the noise floor (root mean square) within which a model explains the data and an effect may be named: the root
 of `modal.discrepancy.selection.decision.NEAR_FLOOR`, which is in mean squares."""
 
-MOST_DECIMALS = 6
-"""More of them stand after a power of ten."""
-
 effect_text = effect_name
 
 
@@ -105,7 +102,7 @@ def _written(value: float, std: float) -> tuple[int, int]:
     """Power of ten, 0 for a plain number, and decimals to the second digit of the deviation."""
     power = math.floor(math.log10(max(abs(value), std)))
     digits = max(0, 1 - math.floor(math.log10(std)))
-    if -4 < power < 5 and digits <= MOST_DECIMALS:
+    if -4 < power < 5 and digits <= 6:  # more stand after a power of ten
         return 0, digits
     return power, max(0, 1 - math.floor(math.log10(std / 10.0**power)))
 

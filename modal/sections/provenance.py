@@ -51,9 +51,6 @@ class Provenance:
 def fingerprints(paths: Iterable[str | os.PathLike[str]]) -> tuple[SourceFile, ...]:
     """Size and SHA-256 of each file, so that a reader can tell years later whether it is the same.
 
-    Args:
-        paths: of files; each is named in the result as it is given here.
-
     Raises:
         InvalidDataError: a file that cannot be read.
 

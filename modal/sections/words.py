@@ -5,23 +5,20 @@ all take their words from here, so that they cannot disagree.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from modal.identification.result import Identification
 from modal.modes.mode import Mode
-from modal.verdict.judgement import FOUND_AGAIN
+from modal.verdict.judgement import DOUBTED, FOUND_AGAIN, LEAST_PART, SYSTEM_FROM
+from modal.verdict.probability import SPREAD
 from modal.wording.text import GOOD_FIT, LEAST_FIT, MOST_NAMED, counted, hertz, listed, shorten
 from okid.errors import visible
 
 if TYPE_CHECKING:
     from modal.acceptance.check import LimitOutcome
     from modal.quality import DataQuality
-from collections.abc import Callable
-from dataclasses import dataclass
-
-from modal.verdict.judgement import DOUBTED, LEAST_PART, SYSTEM_FROM
-from modal.verdict.probability import SPREAD
 
 
 def modes_headline(result: Identification) -> str:
@@ -116,9 +113,6 @@ def data_sentences(result: Identification) -> tuple[str, ...]:
 MOST_TIMES = 12
 """Advise so many times as much data at most: beyond a dozen nobody measures on, and something else must change."""
 
-LONGEST_LIMIT = 60
-"""Letters of the name of a limit in a sentence; the table has the whole of it."""
-
 
 def limits_sentence(outcomes: "Sequence[LimitOutcome]") -> str:
     """How many limits are met, and which are not; "" where no limit was set."""
@@ -150,7 +144,7 @@ def limits_class(state: str) -> str:
 
 
 def _names(outcomes: "Sequence[LimitOutcome]") -> str:
-    names = [shorten(one.what, LONGEST_LIMIT) for one in outcomes[:MOST_NAMED]]
+    names = [shorten(one.what, 60) for one in outcomes[:MOST_NAMED]]  # the table has the whole of it
     rest = f" and {len(outcomes) - MOST_NAMED} more" if len(outcomes) > MOST_NAMED else ""
     return ", ".join(names) + rest
 

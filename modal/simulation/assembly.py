@@ -85,12 +85,7 @@ class EffectPlacement:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Assembly:
-    """A plant with effects.
-
-    Attributes:
-        plant: The plant.
-        placements: The effects at their places.
-    """
+    """A plant with effects."""
 
     plant: Plant
     placements: tuple[EffectPlacement, ...]

@@ -18,8 +18,6 @@ IndexArray = np.ndarray[tuple[int], np.dtype[np.intp]]
 
 SILENT = float(np.sqrt(TINY))
 """Smooth the laws of a record without any input, whose level is this, as those of the records together."""
-INTERPOLATION_REACH = 32
-"""Weigh so many samples on either side of a time between samples of a band-limited input."""
 KAISER_BETA = 9.0
 """Taper the interpolating sinc so that it passes less than 1e-4 of what is above half the sampling rate."""
 
@@ -109,9 +107,6 @@ def drive_of(records: Sequence[Record], upsampling: int = 1, *, reference: float
         records: Records of one time step, of the same channels.
         upsampling: Steps of the simulation per sample.
         reference: Size of inputs that counts as level 1; by default the root mean square over these records.
-
-    Returns:
-        The drive.
     """
     levels = np.array([_level(record) for record in records])
     against = max(float(np.sqrt(np.mean(levels**2))), SILENT) if reference is None else reference
@@ -171,7 +166,7 @@ def _one(record: Record, upsampling: int) -> tuple[FloatArray, FloatArray, Float
 
 def _interpolated(u: FloatArray, factor: int) -> FloatArray:
     """Band-limited interpolation (n - 1) factor + 1 rows, by a long windowed sinc; the ends are continued oddly."""
-    half = INTERPOLATION_REACH
+    half = 32  # samples on either side
     n, pad = len(u), min(half, len(u) - 1)
     before = 2.0 * u[0] - u[pad:0:-1]
     after = 2.0 * u[-1] - u[-2 : -pad - 2 : -1]
@@ -191,8 +186,6 @@ def _interpolated(u: FloatArray, factor: int) -> FloatArray:
 STEPS_PER_PERIOD = 16.0
 """Take so many steps a period of the highest resonance: a force that is a straight line over each is off by
 (2 pi / steps)^2 / 12 of itself there, 1.3 % at 16 steps."""
-BAND_LIMITED_STEPS = 30.0
-"""Take so many where the input is band-limited."""
 MOST_STEPS = 6
 """Take no more steps a sample."""
 
@@ -200,16 +193,11 @@ MOST_STEPS = 6
 def steps_per_sample(plant: Plant, linear: FloatArray, records: Sequence[Record]) -> int:
     """Steps a sample, so that every resonance below the Nyquist frequency gets enough steps a period.
 
-    Args:
-        plant: The plant.
-        linear: Values of its linear parameters.
-        records: Records to simulate, of one time step.
-
     Returns:
         1 to 6.
     """
     dt = records[0].dt
-    wanted = BAND_LIMITED_STEPS if records[0].input_hold == "band_limited" else STEPS_PER_PERIOD
+    wanted = 30.0 if records[0].input_hold == "band_limited" else STEPS_PER_PERIOD
     poles = np.linalg.eigvals(plant_matrices(plant, linear).A) if plant.n_states else np.zeros(0)
     frequencies = np.abs(poles) / (2.0 * np.pi)
     inside = frequencies[frequencies < 0.5 / dt]

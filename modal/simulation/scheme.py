@@ -53,16 +53,7 @@ class Scheme:
 
 
 def scheme_and_slopes(plant: Plant, linear: FloatArray, dt: float) -> tuple[Scheme, tuple[Scheme, ...]]:
-    """The scheme at `linear`, and its derivative by each linear parameter.
-
-    Args:
-        plant: The plant.
-        linear: (n_parameters,) values of the linear parameters.
-        dt: Step [s].
-
-    Returns:
-        The scheme and one derivative a parameter.
-    """
+    """The scheme at `linear`, and its derivative by each linear parameter."""
     steps = [DIFFERENCE_STEP * max(parameter.deviation, abs(parameter.nominal)) for parameter in plant.parameters]
     points = [linear]
     for j, step in enumerate(steps):
@@ -120,22 +111,12 @@ def cpu_seconds(most: float | None) -> Iterator[None]:
 
 
 def add_work(n_times: int, n_states: int) -> None:
-    """Count one solve of a linear recursion.
-
-    Args:
-        n_times: Its length.
-        n_states: Its states; right-hand sides more than one are not counted.
-    """
+    """Count one solve of a linear recursion."""
     _done.set(_done.get() + n_times * n_states + OVERHEAD)
 
 
 def simulation_work(n_times: int, n_states: int) -> float:
-    """What a simulation along records counts, by and large.
-
-    Args:
-        n_times: Steps of all records.
-        n_states: States of the plant.
-    """
+    """What a simulation along records counts, by and large."""
     return float(n_times * n_states + SHORT)
 
 
@@ -202,11 +183,7 @@ class Budget:
         return Budget(SHARE_OF_A_STAGE * self.left, whole=self)
 
     def refuse(self, size: float = 0.0) -> None:
-        """Mark that something is left undone.
-
-        Args:
-            size: Effects of the models that are left untried; infinite where others have made them matter no more.
-        """
+        """Mark that something is left undone."""
         self._spent = True
         self._untried = min(self._untried, size)
         if self._whole is not None:

@@ -4,8 +4,6 @@ Every step's defect is driven to zero at once: one banded solve an iteration (`m
 time. From a near trajectory one to three iterations are enough. Where the whole does not converge, sharp laws are
 first smoothed and then sharpened, and at last the records are marched through in windows.
 
-How the outputs depend on everything unknown: further right-hand sides of the trajectory's own recursion.
-
 The derivative of the trajectory by any unknown obeys the linearised recursion with the unknown's own forcing, so the
 exact Jacobian of a free run costs one more solve. Unknowns of each record (initial state, phases) are solved together
 for all records, whose recursions do not touch, and split afterwards.
@@ -79,13 +77,7 @@ About = Callable[[FloatArray, float], Linearisation]
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Trajectory:
-    """A simulated trajectory and the model about it.
-
-    Attributes:
-        linearisation: The model about the trajectory.
-        band: The recursion's band, for the sensitivities.
-        drive: The drive after the effects at the inputs.
-    """
+    """A simulated trajectory and the model about it."""
 
     linearisation: Linearisation
     band: FloatArray

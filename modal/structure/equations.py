@@ -22,10 +22,6 @@ if TYPE_CHECKING:
 def equations_of_structure(model: "StructuralModel", *, catalogue: Mapping[str, Effect] = CATALOGUE) -> str:
     """One line a degree of freedom, one an output, then each effect with its law and its numbers.
 
-    Args:
-        model: The model.
-        catalogue: What holds its effects.
-
     Example:
         >>> from modal.structure.structural_model import StructuralModel
         >>> model = StructuralModel.chain([2.0], [800.0], [1.5], force_dofs=0, sensor_dofs=0, output_names=["tip"])
@@ -64,10 +60,6 @@ def equations_of_structure(model: "StructuralModel", *, catalogue: Mapping[str, 
 
 def equations_of_plant(model: "PlantModel", *, catalogue: Mapping[str, Effect] = CATALOGUE) -> str:
     """One line a state, one an output, then each effect with its law and its numbers.
-
-    Args:
-        model: The model.
-        catalogue: What holds its effects.
 
     Example:
         >>> import control

@@ -31,14 +31,7 @@ from okid.record import InputHold, Record
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Given:
-    """A model as it was given.
-
-    Attributes:
-        model: A StructuralModel or a PlantModel.
-        plant: Its plant.
-        linear: (n_parameters,) values of its linear parameters.
-        effects: Effects that it has already.
-    """
+    """A model as it was given."""
 
     model: StructuralModel | PlantModel
     plant: Plant
@@ -98,10 +91,6 @@ def with_channel_names(model: StructuralModel, record: Record) -> StructuralMode
 
     Places are then called as the person who measured calls them ("tip" rather than "output_1"), as those of a state
     space are. Names that an element bears already, or that belong to another number of channels, are left alone.
-
-    Args:
-        model: With its own names, or with "input_0", "output_0" and so on for those that were not given.
-        record: With names.
     """
     taken = {element.name for element in model.elements} | {f"dof_{i}" for i in range(model.n_dofs)}
     new: dict[str, str] = {}

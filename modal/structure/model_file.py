@@ -29,7 +29,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, cast, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Self, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -44,7 +44,7 @@ from modal.wording.text import shorten
 from okid.display import Displayed
 from okid.errors import InvalidDataError, UnreadableFileError
 from okid.readers.arrays import array_of
-from okid.readers.guard import foreign, sound_archive
+from okid.readers.guard import Existing, foreign, new_file, sound_archive
 
 if TYPE_CHECKING:
     from modal.structure.plant_model import PlantModel
@@ -52,9 +52,6 @@ if TYPE_CHECKING:
 
 _MOST_TEXT = 1 << 25
 """Read no text file of more bytes: 32 MiB, a matrix of more than a thousand DOFs."""
-
-_MOST_ARRAYS = 1 << 28
-"""Read no NPZ file whose arrays are larger than so many bytes, unpacked: 256 MiB."""
 
 _OPTIONS = "options"
 """Member of an NPZ file that holds, as JSON text, what is no array."""
@@ -117,7 +114,7 @@ class KeptModel(Displayed):
         super().__init_subclass__()
         KeptModel.types[cls.__name__] = cls
 
-    def save(self, path: str | Path, *, existing: Literal["refuse", "replace"] = "refuse") -> Path:
+    def save(self, path: str | Path, *, existing: Existing = "refuse") -> Path:
         """Write the model as TOML, JSON or NPZ, by the ending of the path; read it with `load`.
 
         Args:
@@ -180,7 +177,7 @@ def read_model(path: str | Path, *, catalogue: Mapping[str, Effect] = CATALOGUE)
             raise UnreadableFileError(f"{path}: {error}") from error
 
 
-def write_model(model: "KeptModel", path: str | Path, *, existing: Literal["refuse", "replace"] = "refuse") -> Path:
+def write_model(model: "KeptModel", path: str | Path, *, existing: Existing = "refuse") -> Path:
     """Write a model into a file that `read_model` reads, every number exactly.
 
     Args:
@@ -197,24 +194,11 @@ def write_model(model: "KeptModel", path: str | Path, *, existing: Literal["refu
     _check_model(model)
     kept: Any = model
     path = _path(path, InvalidDataError)
-    if existing not in get_args(Literal["refuse", "replace"]):
-        raise InvalidDataError(f"existing must be refuse or replace, but is {existing!r}.")
     writers = {".toml": _write_toml, ".json": _write_json, ".npz": _write_npz}
     if path.suffix.lower() not in writers:
         raise InvalidDataError(f"a model is written to a file that ends in .toml, .json or .npz, but not {path.name}.")
-    if path.is_dir() or (existing == "refuse" and path.exists()):
-        raise InvalidDataError(f"{path} exists already; choose another name, or pass existing='replace' for a file.")
-    if not path.parent.is_dir():
-        raise InvalidDataError(f"the folder {path.parent} does not exist; make it first.")
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        try:
-            writers[path.suffix.lower()](unfinished, _document_of(kept))
-            unfinished.replace(path)
-        finally:
-            unfinished.unlink(missing_ok=True)
-    except OSError as error:
-        raise InvalidDataError(f"{path} cannot be written ({error.strerror or error}); use another place.") from error
+    with new_file(path, existing) as part:
+        writers[path.suffix.lower()](part, _document_of(kept))
     return path
 
 
@@ -273,7 +257,7 @@ def _with_numbers(value: Any) -> Any:
 
 def _read_npz(path: Path) -> Any:
     document: dict[str, Any] = {}
-    with sound_archive(path, most=_MOST_ARRAYS) as archive:
+    with sound_archive(path, most=1 << 28) as archive:  # 256 MiB unpacked
         for member in archive.infolist():
             document[member.filename.removesuffix(".npy")] = _plain(array_of(archive, member))
     options = document.pop(_OPTIONS, "{}")
@@ -388,10 +372,6 @@ def _model_of(
     document: Mapping[str, Any], *, catalogue: Mapping[str, Effect] = CATALOGUE
 ) -> "StructuralModel | PlantModel":
     """The model that a table of plain values describes.
-
-    Args:
-        document: As read from a file.
-        catalogue: What holds the effects.
 
     Raises:
         InvalidDataError: A key that is missing or not known, or a value that the model refuses.

@@ -83,7 +83,8 @@ class PlantModel(KeptModel):
         """The model of a state space.
 
         Args:
-            system: `control.StateSpace`, `era.Realisation`, or anything with A, B, C, D and dt.
+            system: `control.StateSpace`, `era.Realisation`, or anything with A, B, C, D and dt; minimal and stable.
+                Without states it is a plant of imposed motion and measured force.
             sensor_kind: "displacement", "velocity" or "acceleration", one word or one an output.
             input_hold: Of the records, to convert a discrete system by.
             dt: Time step of the records [s], to check the system's against.
@@ -92,8 +93,8 @@ class PlantModel(KeptModel):
             output_names: "output_0", ... unless given.
             input_units: "" unless given.
             output_units: "" unless given.
-            frequency_tolerance: As in `state_space_plant`.
-            damping_tolerance: As in `state_space_plant`.
+            frequency_tolerance: Standard deviation of the prior on the imaginary part of a pole, as a share of |pole|.
+            damping_tolerance: Relative standard deviation of the prior on the real part of a pole.
 
         Raises:
             InvalidDataError: What `state_space_plant` refuses.

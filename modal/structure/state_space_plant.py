@@ -21,8 +21,6 @@ Where a displacement does not exist:
       constant velocity, not none. The port has a velocity only, and forces act in any direction of the states.
     - an integrator needs its displacement measured: an acceleration does not show it.
 
-Levels that flows move, in a state space that does not oscillate: it may be one of several tanks.
-
 A level at the end of a cascade answers to the inflow as a displacement answers to a force: not at once. So where no
 pole oscillates an output may be either. What flows out of the last tank is p h with the tank's rate p, and what flows
 in comes from the tank before it, whose level is therefore known without a sensor:
@@ -32,7 +30,7 @@ in comes from the tank before it, whose level is therefore known without a senso
 counted so that both levels are the same at rest. Which tank has which rate does not show in the linear model (the
 cascade in the other order has the same response), so each rate that a pole shows gives a place.
 
-A plant without dynamics: motion is imposed, a force is measured (a damper or a joint in a testing machine).
+Without dynamics, motion is imposed and a force is measured (a damper or a joint in a testing machine):
 
     y = D u + force
 
@@ -120,9 +118,6 @@ def _rates(decays: FloatArray) -> tuple[float, ...]:
             kept.append(float(rate))
     return tuple(kept)
 
-
-_MOST_PAIRED = 12
-"""Make every pair of outputs a place up to so many of them; beyond, only neighbours in the order of the outputs."""
 
 _ACCEPTS = {
     "mechanical": frozenset({"motion", "force", "mass"}),
@@ -216,7 +211,7 @@ def _static_stiffness(A: FloatArray, motion: OutputMotion, opposing: FloatArray)
 
 
 def _pairs(motions: tuple[OutputMotion, ...]) -> list[tuple[int, int]]:
-    reach = len(motions) if len(motions) <= _MOST_PAIRED else 1
+    reach = len(motions) if len(motions) <= 12 else 1  # beyond, only neighbours in the order of the outputs
     return [
         (i, j)
         for i, first in enumerate(motions)
@@ -400,19 +395,7 @@ def state_space_plant(
     shows, all linear forces inside it (`internal_changes`), because a wrong stiffness changes shapes and static
     response as well as poles; of a plant that is no structure the real and imaginary part of each pole.
 
-    Args:
-        system: `control.StateSpace`, `era.Realisation`, or anything with A, B, C, D and dt; minimal and stable. Without
-            states it is a plant of imposed motion and measured force, see `static_plant`.
-        sensor_kind: "displacement", "velocity" or "acceleration", one word or one an output.
-        input_hold: Of the records, to convert a discrete system by.
-        dt: Time step of the records [s], to check the system's against.
-        records: Only for a plant without states: what tells which input is the derivative of which.
-        input_names: "input_0", ... unless given.
-        output_names: "output_0", ... unless given.
-        input_units: "" unless given.
-        output_units: "" unless given.
-        frequency_tolerance: Standard deviation of the prior on the imaginary part of a pole, as a share of |pole|.
-        damping_tolerance: Relative standard deviation of the prior on the real part of a pole.
+    The arguments are those of `PlantModel.from_state_space`.
 
     Raises:
         InvalidDataError: No state space, an unstable one, one that no continuous-time system samples to, or an

@@ -39,9 +39,6 @@ from okid.display import first_names
 from okid.errors import InvalidDataError
 from okid.readers.guard import MEMORY_SHARE, memory_budget
 
-MATRICES = 12
-"""Expect the building of a chain to hold so many square matrices at a time (measured: 11.0)."""
-
 _COUPLINGS: Any = None
 """Default of `elements`: those that stand in the matrices."""
 
@@ -222,7 +219,8 @@ class StructuralModel(KeptModel):
         m = as_column(masses, name="masses")
         k = as_column(stiffnesses, name="stiffnesses", length=len(m))
         c = as_column(dampings, name="dampings", length=len(m))
-        need, (budget, whose) = MATRICES * m.itemsize * float(len(m)) ** 2, memory_budget()
+        # square matrices at a time: measured 11.0
+        need, (budget, whose) = 12 * m.itemsize * float(len(m)) ** 2, memory_budget()
         if need > MEMORY_SHARE * budget:
             raise InvalidDataError(
                 f"the matrices of {len(m)} masses need about {need / 2**30:.1f} GiB, more than {MEMORY_SHARE:.0%} of "

@@ -225,9 +225,6 @@ def structural_plant(model: "StructuralModel") -> Plant:
     Ports are its elements and its DOFs ("dof_0", ...; where an element joins the DOF and the ground, the two are one
     place, which keeps the element's name).
 
-    Args:
-        model: What to convert.
-
     Example:
         >>> from modal.structure.structural_model import StructuralModel
         >>> model = StructuralModel.chain([2.0], [800.0], [1.0], force_dofs=0, sensor_dofs=0)

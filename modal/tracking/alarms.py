@@ -66,12 +66,7 @@ class Environment:
 
 
 def held_out_months(times: FloatArray, *, clock: bool) -> np.ndarray:
-    """(n_records,) number of the fold: a month, or a fifth of a shorter table.
-
-    Args:
-        times: (n_records,) rising.
-        clock: times are seconds, not numbers of records.
-    """
+    """(n_records,) number of the fold: a month, or a fifth of a shorter table."""
     span = float(np.ptp(times)) or 1.0
     n_folds = max(FEWEST_FOLDS, round(span / MONTH)) if clock else FEWEST_FOLDS
     folds: np.ndarray = np.minimum((n_folds * (times - times[0]) / (span * (1.0 + 1e-9))).astype(np.intp), n_folds - 1)

@@ -52,9 +52,6 @@ from okid.readers.units import convert_unit
 from okid.record import InputHold, Record
 from okid.scaling import ChannelScaling, channel_scaling
 
-REBUILT = 10_000
-"""Sum the window afresh once what was taken off exceeds so often what is left: its rounding stays behind till then."""
-
 ON_TIME = 0.5
 """Take a block for the next one where it begins within so many time steps of the end of the last."""
 
@@ -155,7 +152,7 @@ def follow(
         while end - parts[0].stop >= window - ON_TIME * dt:
             gone = parts.popleft().gram
             total, taken_off = total - gone, taken_off + np.diag(gone.matrix)
-        if (taken_off / REBUILT > np.diag(total.matrix)).any():
+        if (taken_off / 10_000 > np.diag(total.matrix)).any():  # its rounding stays behind till then
             scaling = channel_scaling([part.record for part in parts])
             afresh: deque[_Part] = deque()
             for part in parts:
@@ -277,12 +274,8 @@ def _smeared(modes: ModalModel, past: Sequence[LiveEstimate], time: float, span:
     return tuple(texts)
 
 
-POLL = 0.02
-"""Look into the file again after so many seconds: a tenth of what a reader notices."""
 OFF_GRID = 0.5
 """End a block where a stamp is off the grid by so many time steps: a row is missing, or the clock was set."""
-HEAD_BYTES = 1 << 16
-"""Tell the layout of a text table from so many bytes of its beginning."""
 FEWEST_ROWS = 20
 """Wait for so many rows before the layout and the time step are told."""
 SEEN_BYTES = 64
@@ -375,7 +368,7 @@ def _pieces(
                 "layout and time step; write more, or give a longer --patience."
             )
         if not len(fresh) and not complete:
-            time.sleep(POLL)
+            time.sleep(0.02)  # a tenth of what a reader notices
 
 
 def _runs(
@@ -509,7 +502,7 @@ class _Text(_Growing):
         if self._head:
             values = self._more(whole.splitlines(keepends=True), self._n_lines)
         else:
-            self._head = whole[: whole.find(b"\n", min(HEAD_BYTES, len(whole) - 1)) + 1]
+            self._head = whole[: whole.find(b"\n", min(1 << 16, len(whole) - 1)) + 1]  # enough to tell the layout
             self._table = table_of_text(whole, self._path)
             values = self._table.values
         self._take(whole)

@@ -327,8 +327,6 @@ USUAL = 1.4826
 SHAPE_MEMORY, FREQUENCY_MEMORY = 0.1, 0.4
 """Let a new record count so much in what is remembered of a mode: ten records of its shape, the last few of its
 frequency, which temperature moves within hours."""
-FORGOTTEN = 48
-"""Drop a mode that was seen fewer than three times and not in so many records."""
 LEAST_SHARE = 0.01
 """Call no mode what is in less than this share of the records."""
 LEAST_DENSITY = 0.25
@@ -402,7 +400,7 @@ def followed(record: IndexArray, frequency: FloatArray, shapes: ComplexArray, do
         _remember(active, own[seen], here.rows(seen), k)
         owner[rows[seen]] = active.number[own[seen]]
         owner[rows[new]] = n_modes + np.arange(new.size)
-        kept = (active.count >= LEAST_COUNT) | (k - active.last < FORGOTTEN)
+        kept = (active.count >= LEAST_COUNT) | (k - active.last < 48)  # records
         active = _Followed(
             number=np.append(active.number[kept], owner[rows[new]]),
             frequency=np.append(active.frequency[kept], here.log_frequency[new]),
@@ -546,10 +544,6 @@ def _caption(tracks: Tracks) -> str:
 
 def write_tracks(tracks: Tracks, folder: Path) -> tuple[Path, Path]:
     """Write tracks.html and tracks.parquet (the table of modes with a column "track").
-
-    Args:
-        tracks: of `track`.
-        folder: that exists.
 
     Raises:
         InvalidDataError: the folder cannot be written.

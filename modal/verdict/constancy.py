@@ -36,8 +36,6 @@ NOTABLE = 0.1
 """Speak of a change of the pole by this share of its decay rate: the spread at which damping is not to be quoted."""
 LEAST_DECAYS = 1.0
 """Ask that a mode decays so often within a block: else a block remembers the one before."""
-FEWEST_BLOCKS = 8
-"""Look at no fewer blocks."""
 UNSTEADY = 3.0
 """Say that what drives a record without inputs is not steady where a tenth of it has so many times the rms of another:
 wind and traffic stay within it, and chance does over a hundred samples."""
@@ -77,7 +75,7 @@ def changing_modes(
         decays = -mode.pole.real * length * model.dt
         if mode.verdict == "system" and mode.kind == "oscillatory" and decays >= LEAST_DECAYS:
             blocks = _blocks(mode, complex(pole), (records, left), output_scale, length)
-            if len(blocks.level) < FEWEST_BLOCKS:
+            if len(blocks.level) < 8:  # too few for a trend
                 continue
             level = np.log(np.maximum(blocks.level, np.finfo(float).tiny))
             for over, when, ends in (

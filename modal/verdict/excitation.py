@@ -41,8 +41,6 @@ DEVIATIONS = 3.0
 """Standard deviations by which the logarithm of the damping may be smaller than it seems."""
 UNDAMPED_GAIN = 0.1
 """Held-out gain from which such a mode is taken for driven all the same."""
-LINES_A_STATE = 3
-"""Take lines for a broad band where there are so many a state of the model: three numbers an unknown, as rows have."""
 NEARLY_ALL = 0.99
 """Count the strongest lines that hold this share of their power: a fit at best tells a hundredth."""
 WEAK_LINE = 1e-3
@@ -186,7 +184,7 @@ def between_lines(
     looked = [_line_bins(np.nan_to_num(record.inputs)) for record in records]
     poles, is_pair = discrete_poles(modes, model.dt)
     lines = _lines(looked, records)
-    few = 0 < lines.size < LINES_A_STATE * int(np.where(is_pair, 2, 1).sum())
+    few = 0 < lines.size < 3 * int(np.where(is_pair, 2, 1).sum())  # three numbers an unknown, as rows have
     if not few or max(one.share for one in looked) < MOSTLY:
         return None
     with_it, without, n_values = np.zeros(len(modes)), np.zeros(len(modes)), np.zeros(len(modes), dtype=np.intp)

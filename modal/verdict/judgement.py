@@ -10,8 +10,6 @@ together with how much of the outputs the mode's answer to the inputs explains.
 
 A line that the input does not drive (hum), and a pole in the edge of a decimation filter, are never more than doubtful.
 
-One resonance modelled by several poles: judged as what it is, one response in one narrow band.
-
 A structure that is not quite linear, or whose resonance wanders during the record, is fitted best by two or three poles
 side by side with the same shape. How the response is shared among them is chance, so none of them is found again alone;
 their sum is. Modes within each other's half-power bandwidth that have the same shape form a group, led by the one with

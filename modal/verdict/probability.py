@@ -12,8 +12,6 @@ command.
 
 What keeps a mode that was found again from being called a mode of the system, each in one function and one sentence.
 
-Each returns its words, or nothing where there is no such doubt.
-
 Existence is one statement, damping another: when a mode's damping ratio is not to be quoted, and why.
 
 Nearly all modes that are accepted in error are true modes with a damping ratio that is far too high: smeared by a short

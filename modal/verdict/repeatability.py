@@ -35,13 +35,11 @@ from okid.record import Record
 from okid.rows import runs_of
 from okid.scaling import ChannelScaling, channel_scaling
 
-N_BLOCKS = 10
 ROWS_AN_UNKNOWN = 3
 """Rows of a half for each unknown of its observer, as in the search."""
 ORDER_SHARES = (0.85, 1.2, 1.4)
 """More above than below: the chosen order is the smallest that explains the data, so a lower one must lose a mode."""
 OBSERVER_SHARE = 0.7
-RIDGE_FACTOR = 3.0
 SMALLEST_RIDGE = 1e-6
 GROWN = 4
 """Find so many modes of a model that grew again in what the others leave."""
@@ -93,7 +91,7 @@ def repeat(
         first_half = tuple(_every_second_block(record.n_samples) for record in records)
         one = lag_gram(records, observer_order, scaling=scaling, rows=first_half)
     other_order = max(_fewest(model_order, records[0].n_outputs), round(OBSERVER_SHARE * observer_order))
-    other_ridge = max(SMALLEST_RIDGE, RIDGE_FACTOR * ridge)
+    other_ridge = max(SMALLEST_RIDGE, 3.0 * ridge)
     dt = records[0].dt
     sizes = _starts(model_order, grown)
     runs = []
@@ -229,7 +227,7 @@ def _gain(
 
 
 def _every_second_block(n_samples: int) -> BoolArray:
-    edges = np.round(np.linspace(0, n_samples, N_BLOCKS + 1)).astype(int)
+    edges = np.round(np.linspace(0, n_samples, 11)).astype(int)
     mask = np.zeros(n_samples, dtype=np.bool_)
     for first, last in zip(edges[:-1:2], edges[1::2], strict=True):
         mask[first:last] = True

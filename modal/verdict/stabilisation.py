@@ -26,8 +26,6 @@ from modal.verdict.judgement import Change, Reruns
 from okid.arrays import FloatArray, whole_number
 from okid.display import Displayed
 
-FREE_RUN_STEPS = 200
-"""Length of the pulse responses that are compared where no Hankel factors tell it."""
 ASKED: tuple[Change, ...] = ("data", "observer")
 """Changes that the diagram's colour asks about, each with equal weight. The third one of the verdict, other model
 orders, is the diagram's own vertical axis."""
@@ -171,7 +169,7 @@ def _part(whole: Pulses, chosen: slice) -> Pulses:
 
 def _overlap_with_the_order_below(realisation: Realisation, basis: ModalBasis, levels: Sequence[slice]) -> FloatArray:
     """Of each pole with the one that it continues; zeros for the lowest order."""
-    factors, n_steps = realisation.factors, FREE_RUN_STEPS
+    factors, n_steps = realisation.factors, 200
     output_scale, input_scale = np.ones(realisation.n_outputs), np.ones(basis.inputs.shape[1])
     if factors is not None:
         n_steps = factors.n_block_rows + factors.n_block_columns

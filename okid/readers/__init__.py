@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from okid.errors import IdentificationWarning, InvalidDataError
-from okid.readers.dispatch import FileDescription, describe_file, describe_table, read_table
+from okid.readers.dispatch import FileDescription, describe_file, describe_table, read_table, records_of_tables
 from okid.readers.guard import check_file
-from okid.readers.joining import records_of_tables
 from okid.readers.table import Table, conversion_of, to_record
 from okid.readers.units import UnitConversion
 from okid.record import InputHold, Record
@@ -98,22 +97,7 @@ def read_described(
     dt: float | None = None,
     input_hold: InputHold = "band_limited",
 ) -> tuple[tuple[Record, ...], tuple[FileDescription, ...]]:
-    """The records in one or several files, and what each file holds; every file is read once.
-
-    Args:
-        paths: as in `read_records`.
-        inputs: as in `read_records`.
-        outputs: as in `read_records`.
-        dt: as in `read_records`.
-        input_hold: as in `read_records`.
-
-    Returns:
-        The records as `read_records` gives them, and one description a file in the order of the files.
-
-    Raises:
-        UnreadableFileError: as in `read_records`.
-        InvalidDataError: as in `read_records`.
-    """
+    """The records in one or several files, and what each file holds; every file is read once."""
     tables = _tables(paths)
     records = records_of_tables(tables, inputs=inputs, outputs=outputs, dt=dt, input_hold=input_hold)
     return records, tuple(describe_table(table, dt=dt) for table in tables)

@@ -41,18 +41,12 @@ Content = npt.NDArray[np.generic] | Sequence[str]
 STEP_NAMES = frozenset(["dt", "ts", "sample_time", "sampling_time", "time_step"])
 RATE_NAMES = frozenset(["fs", "sample_rate", "sampling_rate", "sampling_frequency"])
 ROLES = ("inputs", "outputs")
-LOADED = 2**24
-"""Keep a larger array [bytes] on disk: a copy of the file that nobody else can change is mapped."""
 DISK_SHARE = 0.5
 """Take no more than this share of the free disk for a copy: others need some."""
 
 
 def table_of_channels(channels: Sequence[Mapping[str, Any]], *, path: Path) -> Table:
     """The table of time series as SEP 005 of SDyPy hands them on: data, name, unit_str, and fs or time each.
-
-    Args:
-        channels: one a time series.
-        path: where they are from, for messages.
 
     Raises:
         UnreadableFileError: a series without data, name, or fs and time, or series of different lengths or times.
@@ -229,7 +223,7 @@ def read_npy(path: Path) -> Table:
     with foreign(path, ".npy file"), path.open("rb") as file:
         before = os.fstat(file.fileno())
         dtype = _check_header(file, before.st_size)
-        if before.st_size <= LOADED or dtype.names:  # fields are put together in memory anyway
+        if before.st_size <= 2**24 or dtype.names:  # fields are put together in memory anyway
             file.seek(0)
             array = np.lib.format.read_array(file, allow_pickle=False)
         else:

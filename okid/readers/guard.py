@@ -1,20 +1,24 @@
-"""Checks before a file is opened: is it there, is it a file, does it fit into memory, is its library installed."""
+"""Checks before a file is opened: is it there, is it a file, does it fit into memory, is its library installed.
+
+And the one way to write a file: whole or not at all.
+"""
 
 import contextlib
 import errno
 import importlib
 import math
 import os
+import secrets
 import stat
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-from okid.errors import UnreadableFileError, quiet, visible
+from okid.errors import InvalidDataError, UnreadableFileError, quiet, visible
 
 MAX_CHANNELS = 4096
 """More columns than this are a mistake of format or orientation, not channels of one experiment."""
@@ -43,10 +47,6 @@ class Damage(Exception):  # noqa: N818 - it never leaves the boundary
 @contextlib.contextmanager
 def foreign(path: Path, kind: str) -> Iterator[None]:
     """The boundary around a format's library: whatever it raises becomes one sentence, and its warnings are not shown.
-
-    Args:
-        path: of the file.
-        kind: of file, in words.
 
     Raises:
         UnreadableFileError: the library, or one of our own types at what it gave, raised an error.
@@ -132,6 +132,41 @@ def check_file(given: Any) -> Path:
     return path
 
 
+Existing = Literal["refuse", "replace"]
+"""What to do with a file that is already there."""
+
+
+@contextlib.contextmanager
+def complete_file(path: Path) -> Iterator[Path]:
+    """A file beside `path` to write to, which takes its place when the block ends well and is gone otherwise."""
+    part = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
+    try:
+        yield part
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def new_file(path: Path, existing: Existing) -> Iterator[Path]:
+    """The same of a file that a user asks for, refused where it should not or cannot be written.
+
+    Raises:
+        InvalidDataError: the file exists and may not be replaced, its folder does not exist, or it cannot be written.
+    """
+    if existing not in get_args(Existing):
+        raise InvalidDataError(f"existing must be refuse or replace, but is {existing!r}.")
+    if path.is_dir() or (existing == "refuse" and path.exists()):
+        raise InvalidDataError(f"{path} exists already; choose another name, or pass existing='replace' for a file.")
+    if not path.parent.is_dir():
+        raise InvalidDataError(f"the folder {path.parent} does not exist; make it first.")
+    try:
+        with complete_file(path) as part:
+            yield part
+    except OSError as error:
+        raise InvalidDataError(f"{path} cannot be written ({error.strerror or error}); use another place.") from error
+
+
 def check_memory(path: Path, n_bytes: float) -> None:
     """Raise if reading `path`, which takes about `n_bytes` of memory, cannot end well on this machine.
 
@@ -167,11 +202,6 @@ def first_line(error: Exception) -> str:
 
 def optional_package(module: str, path: Path, *, extra: str = "formats") -> ModuleType:
     """Import an optional library, or say which command installs it.
-
-    Args:
-        module: its name.
-        path: of the file that needs it.
-        extra: of our package that brings it.
 
     Raises:
         UnreadableFileError: the library is not installed.

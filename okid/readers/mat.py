@@ -4,8 +4,6 @@ Function handles and objects in a file are passed over. A vector of MATLAB has t
 one channel, whichever way it lies. Fields of structures are arrays of their own, "run.tip", and lose the structure's
 name where the field's alone is unique.
 
-MAT versions 4, 5, 6 and 7 element by element: each tag and size is checked against the bytes that are there.
-
 A level 5 file is a header of 128 bytes and a row of elements, each a tag (type and number of bytes) and its data, which
 may be elements in turn. Every number of samples that a file claims must be accounted for by the bytes that follow, so
 damage is an error and never another number. Sparse matrices, function handles and objects are passed over.
@@ -53,8 +51,6 @@ class Mat:
     NUMERIC: Final = range(6, 16)
     MATLAB_USER_BLOCK: Final = 512
     """A 7.3 file begins with 512 bytes of its own, then comes HDF5."""
-    LONGEST_TEXT: Final = 2**16
-    """Leave out texts of more characters: they name no channel."""
 
 
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
@@ -418,7 +414,7 @@ class _Hdf5:
 
     def text(self, item: Any) -> str | None:
         """The characters of a dataset, None where they are no name or are not in this file."""
-        if item.size > Mat.LONGEST_TEXT or not self.is_own(item):
+        if item.size > 2**16 or not self.is_own(item):  # a longer text names no channel
             return None
         return "".join(chr(code) for code in item[()].T.ravel()).strip()
 

@@ -77,12 +77,6 @@ def table_of_frame(frame: Any) -> Table:
 def table_of_arrow(table: Any, *, path: Path, file_format: str, left_out: Sequence[LeftOut] = ()) -> Table:
     """The columns of numbers of an Arrow table.
 
-    Args:
-        table: of pyarrow.
-        path: where it comes from, for messages.
-        file_format: in words.
-        left_out: what was not even read.
-
     Raises:
         UnreadableFileError: no column of numbers.
     """

@@ -49,7 +49,6 @@ FREQUENCY_NAMES = frozenset(["frequency", "frequencies", "freq", "freqs", "f", "
 RESPONSE_NAMES = frozenset(["response", "responses", "frf", "frfs", "h", "h1", "h2", "hv"])
 WINDOWS_1858: Mapping[int, ResponseWindow] = {1: "hann", 2: "hann", 3: "flattop"}
 """Windows that a set 1858 tells for certain; its exponential ones state a factor whose meaning differs by program."""
-DIRECTIONS = ("", "X", "Y", "Z", "RX", "RY", "RZ")
 _PARTS = {
     **dict.fromkeys(("re", "real"), "re"),
     **dict.fromkeys(("im", "imag", "imaginary"), "im"),

@@ -184,9 +184,6 @@ def unique_names(names: Sequence[str], headers: Sequence[str]) -> list[str]:
 JITTER = 0.1
 """How far a sample may lie off the uniform grid, in time steps."""
 
-FEWEST_ROUNDED = 3
-"""Take odd steps for rounding of the stamps only where there are so many: one or two may be lost samples."""
-
 ROUNDED_WIDTH = 1.25
 """Accept rounded stamps within so many of their last digit: one, and the error of the slope through them."""
 
@@ -379,7 +376,7 @@ def _rounded_step(stamps: FloatArray) -> float | None:
     lengths = np.rint(np.diff(stamps) / digit)
     shortest, longest = lengths.min(), lengths.max()
     rarer = min(int((lengths == shortest).sum()), int((lengths == longest).sum()))
-    if longest - shortest != 1 or shortest < 0 or rarer < FEWEST_ROUNDED:
+    if longest - shortest != 1 or shortest < 0 or rarer < 3:  # one or two odd steps may be lost samples
         return None
     count = np.arange(len(stamps)) - 0.5 * (len(stamps) - 1)
     slope = float(count @ stamps / (count @ count))

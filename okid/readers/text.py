@@ -3,20 +3,13 @@
 The layout is found from the first megabyte; the numbers are then read by pyarrow, in several threads. Only where that
 fails is the text looked through line by line, to say which cell is at fault.
 
-Cells of a text table: how a line is cut, and what is a number, a missing value, or text.
-
-The layout of a text table: delimiter, decimal sign, where the numbers begin, what the columns are called.
-
 The dialect is the one under which the most lines after the first line of numbers are lines of as many numbers. What
 stands before that line is the header (the last line of as many names), a line of units below it if there is one, and
 remarks, which are left alone.
 
-Stamps of a clock before each row of a text table, such as 2026-05-04T12:00:00.010, as seconds from the first one.
-
-A column of stamps is the time whatever its header says (Datum, Date/Time, Uhrzeit). ISO 8601, its blank in place of
-the T, 2026/05/04, 04.05.2026 12:00:00, and a clock without a date are read; what only a country's habit tells
-(05/04/2026) is not.
-The digits stay as they were written, for they say how far a stamp was rounded.
+A column of stamps of a clock is the time whatever its header says (Datum, Date/Time, Uhrzeit). ISO 8601, its blank in
+place of the T, 2026/05/04, 04.05.2026 12:00:00, and a clock without a date are read; what only a country's habit tells
+(05/04/2026) is not. The digits stay as they were written, for they say how far a stamp was rounded.
 """
 
 import codecs
@@ -96,7 +89,6 @@ class TextLimits:
 
     MAX_REMARKS: Final = 1000
     """Lines that may stand before the first number."""
-    LINES_COMPARED: Final = 200
     SAMPLE_BYTES: Final = 1 << 20
     """How much of a file is looked at to find its layout; no line may be longer."""
     BLOCK_BYTES: Final = 8 << 20
@@ -174,7 +166,7 @@ def _all_numbers(cells: Sequence[str], dialect: Dialect) -> bool:
 def _score(lines: Sequence[str], dialect: Dialect, start: tuple[int, int]) -> tuple[int, bool, int]:
     first, n_columns = start
     alike = 0
-    for line in lines[first : first + TextLimits.LINES_COMPARED]:
+    for line in lines[first : first + 200]:
         cells = split_cells(line, dialect)
         alike += len(cells) == n_columns and _all_numbers(cells, dialect)
     above = [line for line in lines[:first] if line.strip()]
@@ -280,9 +272,6 @@ def _refuse_text_column(lines: Sequence[str], file_name: str) -> None:
                 _refuse_text(cells, names, number, dialect, file_name)
 
 
-TEXT_ROWS = 4
-"""Expect no more lines of names and units among those as wide as the table."""
-
 COPIES_OF_TEXT, COPIES_OF_TABLE = 3.0, 1.25
 """Expect so many: of a text that is changed before it is read, and of the table of float64 while it is put together."""
 
@@ -359,7 +348,7 @@ def _text_columns(head: bytes) -> tuple[Dialect, tuple[int, ...]] | None:
         text = tuple(k for k in range(width) if not holds[k] and any(not is_missing(row[k]) for row in full))
         cells = [[row[k] for row in full if not is_missing(row[k])] for k in text]
         measured = any(2 * sum(map(bool, map(_OTHERWISE.fullmatch, column))) > len(column) for column in cells)
-        if text and numbers and not measured and len(full) >= len(rows) - TEXT_ROWS:
+        if text and numbers and not measured and len(full) >= len(rows) - 4:  # lines of names and units
             return dialect, text
     return None
 

@@ -10,18 +10,16 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 
 from okid.arrays import ComplexArray, FloatArray
 from okid.errors import InvalidDataError, UnreadableFileError
 from okid.frequency_response import FrequencyResponse, line_spacing
-from okid.readers.guard import check_channel_count, check_memory, foreign, optional_package
+from okid.readers.guard import Existing, check_channel_count, check_memory, foreign, new_file, optional_package
 from okid.readers.table import Column, LeftOut, Table
 from okid.readers.units import convert_unit
-
-MEMORY_A_BYTE = 8.0
 
 
 class Universal:
@@ -138,7 +136,7 @@ def open_uff(path: Path) -> UniversalFile:
         UnreadableFileError: cut off, too large, or no universal file.
     """
     pyuff = optional_package("pyuff", path)
-    check_memory(path, MEMORY_A_BYTE * path.stat().st_size)
+    check_memory(path, 8.0 * path.stat().st_size)
     _check_end(path)
     file = _guarded(path, lambda: pyuff.UFF(str(path)))
     return UniversalFile(path, file, tuple(int(kind) for kind in _guarded(path, file.get_set_types)))
@@ -295,9 +293,7 @@ def states_si(units: Set) -> bool:
     return all(units.get(key) == 1.0 for key in ("length", "force"))
 
 
-def write_response(
-    response: FrequencyResponse, path: str | Path, *, existing: Literal["refuse", "replace"] = "refuse"
-) -> Path:
+def write_response(response: FrequencyResponse, path: str | Path, *, existing: Existing = "refuse") -> Path:
     """Write responses, and their coherence, as a universal file with one data set 58 a function (text, 12 digits).
 
     Args:
@@ -312,10 +308,6 @@ def write_response(
         InvalidDataError: a response that is not known at every line, or a file that exists or cannot be written.
     """
     path = Path(path)
-    if existing not in {"refuse", "replace"}:
-        raise InvalidDataError(f"existing must be refuse or replace, but is {existing!r}.")
-    if path.exists() and existing == "refuse":
-        raise InvalidDataError(f"{path} exists already; choose another name, or pass existing='replace'.")
     measured = np.isfinite(response.response).all(axis=0)
     if (np.isfinite(response.response).any(axis=0) & ~measured).any():
         raise InvalidDataError("a universal file has no mark for a missing line; leave out the lines that hold a NaN.")
@@ -328,10 +320,8 @@ def write_response(
         sets += [
             _set_58(response, o, 0, response.coherence[:, o], MULTIPLE_COHERENCE) for o in range(response.n_outputs)
         ]
-    try:
-        path.write_text("".join(sets), encoding="ascii", errors="replace")
-    except OSError as error:
-        raise InvalidDataError(f"{path} cannot be written ({error.strerror or error}); use another place.") from error
+    with new_file(path, existing) as part:
+        part.write_text("".join(sets), encoding="ascii", errors="replace")
     return path
 
 

@@ -177,7 +177,6 @@ _DOT = re.compile(r"(?<=[A-Za-z])(?:[.-]| *· *| +)(?=[A-Za-z])")
 _WORD = re.compile(r"[^\W\d_]+|[°%\"']")
 _MAGNET_WORDS = re.compile(r"magnet|flux|field|gauss", re.IGNORECASE)
 _GRAVITY = re.compile(r"(m|milli|µ|u)?(?:g|G|gn|g_0|g0|gee)$")
-_TOO_LONG = 40
 _BIG_NUMBER = re.compile(r"\d{3,}|\d\s*\^|[a-zA-Z]\^?-?\d{2,}")  # no text can ask for 9^9^9^9
 _BARE_POWER = re.compile(r"(?<=[A-Za-z])(-?\d)(?!\d)")
 
@@ -292,10 +291,6 @@ def unit_error(gain: float, std: float) -> str:
     the n candidates with the probability n 4 (std / gain) / (2 ln 1e4). Only where that is small does closeness mean
     anything.
 
-    Args:
-        gain: found for a channel; its sign does not matter.
-        std: its standard deviation.
-
     Example:
         >>> unit_error(9.79, 0.02)
         'a factor of 9.80665: g taken for m/s^2, or kilogram-force for newton'
@@ -341,7 +336,7 @@ def is_unit(text: str) -> bool:
     rest = _WORD.sub("", plain)
     return (
         bool(words)
-        and len(plain) <= _TOO_LONG
+        and len(plain) <= 40
         and all(word in UNITS or word in SPELLINGS for word in words)
         and not re.search(r"[^-+.·*/^() \d]", rest)
         and not _BIG_NUMBER.search(plain)

@@ -5,21 +5,21 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from modal.discrepancy.results import Diagnosis, Finding, LawCurve
 from modal.localisation.gap import Gap
 from modal.plots.discrepancy import draw_gap_spectrum, draw_laws, hypothesis_bars, modes_against_level
-from modal.plots.layout import grid_of
+from modal.plots.layout import one_panel
 from modal.plots.panels import STYLE
 from modal.plots.responses import density_label
 from modal.recording.discrepancy.series import DiscrepancyPlan, log_histories, log_tables, stage_part
-from modal.recording.figure import Palette, Pane, log_chart, seen_at
+from modal.recording.figure import Palette, Pane, RecordingStream, log_chart, rr, seen_at
 from modal.recording.plan import cell, label, name_with_unit
 from modal.recording.series import TIMELINE, bucket_length, positions, reduced
-from modal.recording.tables import UNKNOWN, WordLimits, bullets, log_table, table
+from modal.recording.tables import WordLimits, bullets, log_table, log_text, table, unit_cell
 from modal.sections import discrepancy_words as words
 from modal.sections.discrepancy_stages import Row, Stage, gap_density, level_lines, rows_of
 from modal.sections.discrepancy_values import (
@@ -32,9 +32,6 @@ from modal.sections.discrepancy_values import (
     times_text,
 )
 from okid.arrays import FloatArray
-
-if TYPE_CHECKING:
-    import rerun
 
 LEVELS: Final = Pane("discrepancy/levels/plot", 1400.0, 520.0)
 
@@ -83,7 +80,7 @@ def gap_text(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> str:
             size_text(float(diagnosis.gap_before[i, j])),
             f"**{size_text(float(diagnosis.gap_after[i, j]))}**",
             size_text(float(floor[i, j])),
-            cell(record.output_units[j], 12) if record.output_units[j] else UNKNOWN,
+            unit_cell(record.output_units[j]),
         ]
         for i, record in enumerate(diagnosis.held_out)
         for j, name in enumerate(record.output_names)
@@ -126,7 +123,7 @@ def _parameters(findings: tuple[Finding, ...]) -> str:
             cell(finding.where, 28),
             cell(one.name),
             f"**{found_value(one)}**",
-            cell(one.unit, 16) if one.unit else UNKNOWN,
+            unit_cell(one.unit, 16),
         ]
         for finding in findings
         for one in finding.parameters
@@ -156,10 +153,6 @@ class GapLimits:
 
     SHOWN: Final = 6
     """Draw so many hypotheses and so many laws, the best first."""
-    DRAWN_SAMPLES: Final = 4000
-    """Draw the gap that plays with at most so many points a step."""
-    SHOWN_PARTS: Final = 7
-    """Show so many outputs, records and bands step by step, those with the largest gap."""
 
 
 def spectrum_pane(output: int) -> Pane:
@@ -174,10 +167,8 @@ def law_panes(diagnosis: Diagnosis) -> tuple[Pane, ...]:
     return tuple(Pane(f"discrepancy/law/{k + 1:02d}/plot", width, height) for k in range(n_laws))
 
 
-def log_discrepancy_page(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
+def log_discrepancy_page(diagnosis: Diagnosis, recording: RecordingStream, plan: DiscrepancyPlan) -> None:
     """Series, spectra, hypotheses, laws, words and tables."""
-    import rerun as rr
-
     log_histories(diagnosis, recording, plan)
     log_tables(diagnosis, recording, plan)
     _log_spectra(diagnosis, recording, plan)
@@ -191,16 +182,12 @@ def log_discrepancy_page(diagnosis: Diagnosis, recording: "rerun.RecordingStream
         _log_law(recording, law, number)
     for pane, law in zip(law_panes(diagnosis), diagnosis.laws, strict=False):
         log_chart(recording, pane, draw_laws([law]))
-    documents = (
-        (VERDICT_TEXT, verdict_text(diagnosis, plan)),
-        (LAW_TEXT, law_text(diagnosis)),
-        (GAP_TEXT, gap_text(diagnosis, plan)),
-    )
-    for path, text in documents:
-        recording.log(path, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True, strict=True)
+    log_text(recording, VERDICT_TEXT, verdict_text(diagnosis, plan))
+    log_text(recording, LAW_TEXT, law_text(diagnosis))
+    log_text(recording, GAP_TEXT, gap_text(diagnosis, plan))
 
 
-def _log_spectra(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
+def _log_spectra(diagnosis: Diagnosis, recording: RecordingStream, plan: DiscrepancyPlan) -> None:
     """All as numbers, those of the shown outputs as lines."""
     if not plan.stages:
         return
@@ -217,14 +204,13 @@ def _log_spectra(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan:
         }
         log_table(recording, f"discrepancy/spectrum/{output + 1:02d}/numbers", "frequency_line", lines, columns)
     for output in plan.shown_outputs:
-        chart = grid_of(1, 1, size=(STYLE.page, STYLE.page))
-        (panel,) = chart.panels
+        chart, panel = one_panel(STYLE.page, STYLE.page)
         draw_gap_spectrum(panel, density, plan.stages, output)
         panel.y.label, panel.key = _density_title(diagnosis, output), "best"
         log_chart(recording, spectrum_pane(output), chart)
 
 
-def _log_law(recording: "rerun.RecordingStream", law: LawCurve, number: int) -> None:
+def _log_law(recording: RecordingStream, law: LawCurve, number: int) -> None:
     """The curve, the points and the loop as tables."""
     path = f"discrepancy/law/{number + 1:02d}"
     for name, timeline, columns in (
@@ -252,10 +238,8 @@ STEP_PARTS: Final = Pane("discrepancy/steps/parts/plot", 520.0, 400.0)
 STEP_TEXT: Final = "discrepancy/steps/text"
 
 
-def log_steps_page(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
+def log_steps_page(diagnosis: Diagnosis, recording: RecordingStream, plan: DiscrepancyPlan) -> None:
     """Frames once, and what changes once a step; nothing where no step ran through."""
-    import rerun as rr
-
     if not plan.step_gaps:
         return
     _draw_gap(diagnosis, recording, plan)
@@ -266,16 +250,15 @@ def log_steps_page(diagnosis: Diagnosis, recording: "rerun.RecordingStream", pla
     _send(recording, STEP_TEXT, plan, columns)
 
 
-def _draw_gap(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
+def _draw_gap(diagnosis: Diagnosis, recording: RecordingStream, plan: DiscrepancyPlan) -> None:
     record = diagnosis.held_out[plan.record]
-    bucket = bucket_length(record.n_samples, GapLimits.DRAWN_SAMPLES)
+    bucket = bucket_length(record.n_samples, 4000)
     times = record.start_time + record.dt * positions(record.n_samples, bucket)
     curves = [reduced(gap.residuals[plan.record][:, plan.output], bucket) for gap in plan.step_gaps]
     noise = 2.0 * float(np.sqrt(plan.step_gaps[0].floor[plan.record, plan.output]))
     reach = max(1.05 * max(float(np.nanmax(np.abs(curve))) for curve in curves), 1.5 * noise)
     name = name_with_unit(record.output_names[plan.output], record.output_units[plan.output])
-    chart = grid_of(1, 1, size=(STYLE.page, STYLE.page))
-    (panel,) = chart.panels
+    chart, panel = one_panel(STYLE.page, STYLE.page)
     panel.line(times, curves[0], "residual", width=STYLE.thin, opacity=STYLE.half, label="as given")
     panel.line([], [], "model", label="this step")
     panel.line([], [], "system", label="the last")
@@ -286,11 +269,10 @@ def _draw_gap(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: Di
     _play_lines(recording, plan, f"{STEP_GAP.path}/3_now", [[seen_at(panel, times, curve)] for curve in curves])
 
 
-def _draw_spectrum(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
+def _draw_spectrum(diagnosis: Diagnosis, recording: RecordingStream, plan: DiscrepancyPlan) -> None:
     density = gap_density(plan.step_gaps)
     first = Stage(name="as given", kind="before", step=0, gap=plan.step_gaps[0])
-    chart = grid_of(1, 1, size=(STYLE.page, STYLE.page))
-    (panel,) = chart.panels
+    chart, panel = one_panel(STYLE.page, STYLE.page)
     draw_gap_spectrum(panel, replace(density, gaps=density.gaps[:1]), [first], plan.output)
     panel.line([], [], "model", label="gap now")
     panel.y.label, panel.key = _density_title(diagnosis, plan.output), "best"
@@ -299,12 +281,11 @@ def _draw_spectrum(diagnosis: Diagnosis, recording: "rerun.RecordingStream", pla
     _play_lines(recording, plan, f"{STEP_SPECTRUM.path}/3_now", strips, width=STYLE.stroke)
 
 
-def _draw_parts(recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
+def _draw_parts(recording: RecordingStream, plan: DiscrepancyPlan) -> None:
     """A bar a part, as long as its gap is in times of the noise floor."""
     rows = _shown(plan.step_gaps)
     sizes = [size for row in rows for size in row.sizes if np.isfinite(size) and size > 0]
-    chart = grid_of(1, 1, size=(STYLE.page, STYLE.page))
-    (panel,) = chart.panels
+    chart, panel = one_panel(STYLE.page, STYLE.page)
     panel.x.log = True
     panel.x.limits = panel.x.fitted(np.array([0.7, 3.0, *sizes]))
     panel.x.label, panel.head = "times the noise floor", "gap by output, record and band"
@@ -325,12 +306,12 @@ def _shown(gaps: Sequence[Gap]) -> list[Row]:
     """The outputs, records and bands with the largest gap at first, in their order."""
     stages = [Stage(name="", kind="after", step=k, gap=gap) for k, gap in enumerate(gaps)]
     rows = rows_of(stages)
-    order = np.argsort([-np.nan_to_num(row.sizes[0]) for row in rows], kind="stable")[: GapLimits.SHOWN_PARTS]
+    order = np.argsort([-np.nan_to_num(row.sizes[0]) for row in rows], kind="stable")[:7]
     return [rows[k] for k in sorted(order.tolist())]
 
 
 def _play_lines(
-    recording: "rerun.RecordingStream",
+    recording: RecordingStream,
     plan: DiscrepancyPlan,
     path: str,
     frames: Sequence[Sequence[FloatArray]],
@@ -338,8 +319,6 @@ def _play_lines(
     width: float = 1.0,
 ) -> None:
     """One row of line strips a step: orange on the way, green at the last."""
-    import rerun as rr
-
     counts = [len(strips) for strips in frames]
     last = len(frames) - 1
     colours = [Palette.GREEN if k == last else Palette.ORANGE for k, count in enumerate(counts) for _ in range(count)]
@@ -358,9 +337,7 @@ def _known(strip: FloatArray) -> FloatArray:
     return strip[np.isfinite(strip).all(axis=1)]
 
 
-def _send(recording: "rerun.RecordingStream", path: str, plan: DiscrepancyPlan, columns: Any) -> None:
-    import rerun as rr
-
+def _send(recording: RecordingStream, path: str, plan: DiscrepancyPlan, columns: Any) -> None:
     index = [
         rr.TimeColumn(STEP, sequence=list(plan.step_numbers)),
         rr.TimeColumn(TIMELINE, duration=list(plan.step_times)),

@@ -7,29 +7,31 @@ steps are spread evenly from the beginning to the end, so that the page plays on
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from modal.discrepancy.results import Diagnosis
 from modal.localisation.gap import Gap
 from modal.plots.discrepancy import STAGE_ROLES
-from modal.recording.figure import COLOURS, Palette
+from modal.recording.figure import COLOURS, Palette, RecordingStream, rr
 from modal.recording.plan import Views, name_with_unit, path_parts
-from modal.recording.series import TIMELINE, StoredStretch, laid_out, log_series, row_budget, stored_levels, time_axis
+from modal.recording.series import (
+    TIMELINE,
+    Line,
+    StoredRecords,
+    laid_out,
+    log_lines,
+    row_budget,
+    stored_levels,
+    time_axis,
+)
 from modal.recording.tables import log_table
 from modal.sections.discrepancy_stages import Stage, gap_of, ran_through, rows_of, stages_of, worst_outputs
 from modal.sections.discrepancy_values import hypothesis_text, times_floor
 
-if TYPE_CHECKING:
-    import rerun
-
-SERIES_PER_OUTPUT: Final = 8
-"""Count so many of an output: measured, simulated and gap of up to three states, and the noise."""
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class DiscrepancyPlan:
+class DiscrepancyPlan(StoredRecords):
     """What is shown, where it is stored and when it plays.
 
     Attributes:
@@ -41,9 +43,6 @@ class DiscrepancyPlan:
         shown_outputs: outputs that have views of their own, those with the largest gap.
         output: the one with the largest gap, which plays step by step.
         record: the held-out record with the largest gap, which plays step by step.
-        starts: when each held-out record begins on the timeline [s].
-        stops: when each ends [s].
-        levels: how finely each record is stored, stretch by stretch.
     """
 
     stages: tuple[Stage, ...]
@@ -54,26 +53,10 @@ class DiscrepancyPlan:
     shown_outputs: tuple[int, ...]
     output: int
     record: int
-    starts: tuple[float, ...]
-    stops: tuple[float, ...]
-    levels: tuple[tuple[StoredStretch, ...], ...]
-
-    @property
-    def start(self) -> float:
-        """Where the timeline begins [s]."""
-        return self.starts[0]
-
-    @property
-    def stop(self) -> float:
-        """Where it ends [s]."""
-        return self.stops[-1]
 
 
 def planned_diagnosis(diagnosis: Diagnosis) -> DiscrepancyPlan:
     """The plan for one diagnosis.
-
-    Args:
-        diagnosis: what will be recorded.
 
     Raises:
         InvalidDataError: the records reach further than the time axis of a recording does.
@@ -84,7 +67,7 @@ def planned_diagnosis(diagnosis: Diagnosis) -> DiscrepancyPlan:
     numbers = tuple(k for k, step in enumerate(diagnosis.steps) if ran_through(step))
     gaps = {stage.step: stage.gap for stage in stages}
     size = stages[0].gap.in_floors if stages else np.ones((len(records), records[0].n_outputs))
-    n_series = SERIES_PER_OUTPUT * records[0].n_outputs
+    n_series = 8 * records[0].n_outputs  # measured, simulated and gap of up to three states, noise
     shown = worst_outputs(stages[0].gap, Views.OUTPUTS) if stages else list(range(min(Views.OUTPUTS, size.shape[1])))
     return DiscrepancyPlan(
         stages=stages,
@@ -109,61 +92,30 @@ def stage_part(stage: Stage) -> str:
     return {"before": "0_as_given", "linear": "1_calibrated", "after": "2_updated"}[stage.kind]
 
 
-def log_histories(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
+def log_histories(diagnosis: Diagnosis, recording: RecordingStream, plan: DiscrepancyPlan) -> None:
     """Measured and simulated outputs, the gap of each state of the model, and the band of the noise."""
     times = time_axis(diagnosis.held_out, plan)
     first = diagnosis.held_out[0]
     for output, path in enumerate(plan.output_paths):
         measured = [record.outputs[:, output] for record in diagnosis.held_out]
         name = name_with_unit(first.output_names[output], first.output_units[output])
-        log_series(
-            recording,
-            f"{path}/run/0_measured",
-            times,
-            measured,
-            plan=plan,
-            name=f"{name} measured",
-            colour=Palette.BLUE,
-            width=3.0,
-        )
+        line = Line(channels=measured, name=f"{name} measured", colour=Palette.BLUE, width=3.0)
+        log_lines(recording, f"{path}/run/0_measured", times, [line], plan=plan)
         for stage in plan.stages:
             colour = COLOURS[STAGE_ROLES[stage.kind]]
             simulated = [run.outputs[:, output] for run in stage.gap.simulated]
             gap = [residual[:, output] for residual in stage.gap.residuals]
             part = stage_part(stage)
-            log_series(
-                recording,
-                f"{path}/run/1_{part}",
-                times,
-                simulated,
-                plan=plan,
-                name=f"simulated {stage.name}",
-                colour=colour,
-            )
-            log_series(
-                recording,
-                f"{path}/gap/{part}",
-                times,
-                gap,
-                plan=plan,
-                name=f"gap {stage.name}",
-                colour=colour,
-                width=1.0,
-            )
+            line = Line(channels=simulated, name=f"simulated {stage.name}", colour=colour)
+            log_lines(recording, f"{path}/run/1_{part}", times, [line], plan=plan)
+            line = Line(channels=gap, name=f"gap {stage.name}", colour=colour, width=1.0)
+            log_lines(recording, f"{path}/gap/{part}", times, [line], plan=plan)
         _log_noise(diagnosis, recording, plan, output=output, path=path)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class NumberTable:
-    """One table of a diagnosis.
-
-    Attributes:
-        path: its entity.
-        title: of its view.
-        timeline: that counts its rows.
-        first: number of its first row.
-        columns: by name, one value a row.
-    """
+    """One table of a diagnosis."""
 
     path: str
     title: str
@@ -194,7 +146,7 @@ def diagnosis_tables(diagnosis: Diagnosis, plan: DiscrepancyPlan) -> tuple[Numbe
     return tuple(table for table in made if table.n_rows)
 
 
-def log_tables(diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan) -> None:
+def log_tables(diagnosis: Diagnosis, recording: RecordingStream, plan: DiscrepancyPlan) -> None:
     """Every table of the diagnosis as numbers and words."""
     for table in diagnosis_tables(diagnosis, plan):
         index = np.arange(table.first, table.first + table.n_rows)
@@ -210,11 +162,9 @@ _LIMIT = ("effect", "where", "parameter", "value", "unit")
 
 
 def _log_noise(
-    diagnosis: Diagnosis, recording: "rerun.RecordingStream", plan: DiscrepancyPlan, *, output: int, path: str
+    diagnosis: Diagnosis, recording: RecordingStream, plan: DiscrepancyPlan, *, output: int, path: str
 ) -> None:
     """Two deviations of the noise to either side, a straight line over each record."""
-    import rerun as rr
-
     variance = np.asarray(diagnosis.noise_floor.variance)[len(diagnosis.fit) :, output]
     for side, word in ((1.0, "upper"), (-1.0, "lower")):
         times: list[float] = []

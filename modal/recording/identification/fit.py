@@ -4,30 +4,35 @@ Its twin is the page "Responses", where no record was identified but a table of 
 """
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from modal.identification.result import Identification
 from modal.modes.response_synthesis import tabled_frf
 from modal.plots.histories import residual_autocorrelation
-from modal.plots.layout import grid_of
+from modal.plots.layout import one_panel
 from modal.plots.panels import IN_TURN, STYLE
 from modal.plots.results import measured_responses
-from modal.recording.figure import Colour, Palette, Pane, document_view, log_chart, plot_view, series_view
+from modal.recording.figure import (
+    Colour,
+    Palette,
+    Pane,
+    RecordingStream,
+    document_view,
+    log_chart,
+    plot_view,
+    rrb,
+    series_view,
+    tabs,
+)
 from modal.recording.plan import DataPlan, Plan, Views, cell, label, name_with_unit
 from modal.recording.series import Line, log_lines, log_sequence, time_axis
-from modal.recording.tables import choices_text, fit_page_text, log_table
+from modal.recording.tables import choices_text, fit_page_text, log_table, log_text
 from modal.sections.words import modes_headline
 from modal.wording.text import fit_text
 from okid.arrays import FloatArray
-
-if TYPE_CHECKING:
-    import rerun
-if TYPE_CHECKING:
-    import rerun
-
-    from okid.frequency_response import FrequencyResponse
+from okid.frequency_response import FrequencyResponse
 
 FIT_TEXT: Final = "fit/text"
 MARKOV: Final = Pane("fit/markov/plot", 480.0, 290.0)
@@ -36,19 +41,13 @@ PREDICTED: Final[Colour] = (120, 205, 200)
 ONE_STEP: Final[Colour] = (250, 170, 160)
 """Draw what is predicted one step ahead, and what that leaves, in these colours."""
 
-DRAWN_PAIRS: Final = 4
-"""Draw the strongest response of each of so many outputs."""
 
-
-def log_fit_page(identification: Identification, recording: "rerun.RecordingStream", plan: Plan) -> None:
+def log_fit_page(identification: Identification, recording: RecordingStream, plan: Plan) -> None:
     """Predicted and simulated outputs with their residuals, fit table, Markov parameters, whiteness."""
-    import rerun as rr
-
     times = time_axis(identification.records, plan.data)
     for output, path in enumerate(plan.fit_paths):
         _log_output(identification, recording, plan, times=times, output=output, path=path)
-    document = rr.TextDocument(fit_page_text(identification, plan), media_type=rr.MediaType.MARKDOWN)
-    recording.log(FIT_TEXT, document, static=True, strict=True)
+    log_text(recording, FIT_TEXT, fit_page_text(identification, plan))
     _log_numbers(identification, recording)
     _log_markov(identification, recording)
     _log_whiteness(identification, recording)
@@ -56,7 +55,7 @@ def log_fit_page(identification: Identification, recording: "rerun.RecordingStre
 
 def _log_output(
     identification: Identification,
-    recording: "rerun.RecordingStream",
+    recording: RecordingStream,
     plan: Plan,
     *,
     times: FloatArray,
@@ -84,7 +83,7 @@ def _less(first: list[FloatArray], second: list[FloatArray]) -> list[FloatArray]
     return [a - b for a, b in zip(first, second, strict=True)]
 
 
-def _log_numbers(identification: Identification, recording: "rerun.RecordingStream") -> None:
+def _log_numbers(identification: Identification, recording: RecordingStream) -> None:
     fit, first = identification.fit, identification.channels
     outputs: dict[str, Iterable[object]] = {
         "name": first.output_names,
@@ -96,7 +95,7 @@ def _log_numbers(identification: Identification, recording: "rerun.RecordingStre
     log_table(recording, "fit/outputs", "output", np.arange(1, first.n_outputs + 1), outputs)
 
 
-def _log_markov(identification: Identification, recording: "rerun.RecordingStream") -> None:
+def _log_markov(identification: Identification, recording: RecordingStream) -> None:
     """All of them as numbers, the strongest of each of a few outputs as lines, scaled by the size of the channels."""
     markov, first = identification.markov, identification.channels
     lags = np.arange(markov.n_lags + 1.0)
@@ -115,9 +114,8 @@ def _log_markov(identification: Identification, recording: "rerun.RecordingStrea
     numbers = system.reshape(lags.size, -1)
     log_sequence(recording, "fit/markov/numbers", timeline="lag", index=lags, values=numbers, names=names)
     strength = np.abs(scaled[1:]).max(axis=0)
-    pairs = [(i, int(strength[i].argmax())) for i in np.argsort(-strength.max(axis=1), kind="stable")[:DRAWN_PAIRS]]
-    chart = grid_of(1, 1, size=(STYLE.page, STYLE.page))
-    (panel,) = chart.panels
+    pairs = [(i, int(strength[i].argmax())) for i in np.argsort(-strength.max(axis=1), kind="stable")[:4]]
+    chart, panel = one_panel(STYLE.page, STYLE.page)
     for (i, j), role in zip(pairs, IN_TURN, strict=False):
         panel.line(lags * markov.dt, scaled[:, i, j], role, label=f"{label(out[i], 11)} / {label(into[j], 11)}")
     panel.x.label, panel.y.label, panel.key = "time [s]", title, "best"
@@ -125,7 +123,7 @@ def _log_markov(identification: Identification, recording: "rerun.RecordingStrea
     log_chart(recording, MARKOV, chart)
 
 
-def _log_whiteness(identification: Identification, recording: "rerun.RecordingStream") -> None:
+def _log_whiteness(identification: Identification, recording: RecordingStream) -> None:
     residuals, first = identification.residuals, identification.channels
     if residuals is None:
         return
@@ -139,18 +137,12 @@ def _log_whiteness(identification: Identification, recording: "rerun.RecordingSt
         log_chart(recording, WHITENESS, chart)
 
 
-DETAILED_OUTPUTS: Final = 4
-"""Set a window beside each output on the first tab up to so many outputs."""
-
-
 def fit_page(identification: Identification, plan: Plan) -> Any:
     """Series to the left, a tab for all outputs and one for each; words, Markov parameters, whiteness to the right."""
-    import rerun.blueprint as rrb
-
     left: list[Any] = [_everything(identification, plan)]
     if len(plan.data.shown_outputs) > 1:
         left += [_one_output(identification, plan, i) for i in plan.data.shown_outputs]
-    series = rrb.Tabs(*left, active_tab=0, name="Outputs") if len(left) > 1 else left[0]
+    series = tabs(left, "Outputs")
     words = [document_view(FIT_TEXT, "Fit")]
     if identification.markov.n_inputs or identification.markov.gain is not None:
         words.append(plot_view(MARKOV, "Markov parameters"))
@@ -182,14 +174,12 @@ def run_view(identification: Identification, plan: Plan, output: int, *, legend:
 
 def _everything(identification: Identification, plan: Plan) -> Any:
     """Inputs over all outputs: a few with their windows, many in two columns."""
-    import rerun.blueprint as rrb
-
     outputs = plan.data.shown_outputs
     if len(outputs) == 1:
         return _one_output(identification, plan, 0)
     rows: list[Any] = inputs_view(plan.data)
     shares = [0.8] * len(rows)
-    if len(outputs) <= DETAILED_OUTPUTS:
+    if len(outputs) <= 4:
         for i in outputs:
             pair = (run_view(identification, plan, i, legend=i == 0), _window(identification, plan, i))
             rows.append(rrb.Horizontal(*pair, column_shares=[1.5, 1.0], name=label(_name(identification, i))))
@@ -202,8 +192,6 @@ def _everything(identification: Identification, plan: Plan) -> Any:
 
 
 def _one_output(identification: Identification, plan: Plan, output: int) -> Any:
-    import rerun.blueprint as rrb
-
     rows = [*inputs_view(plan.data), run_view(identification, plan, output), _window(identification, plan, output)]
     shares = [0.7, 1.2, 1.8][-len(rows) :]
     return rrb.Vertical(*rows, row_shares=shares, name=label(_name(identification, output), 18))
@@ -211,8 +199,6 @@ def _one_output(identification: Identification, plan: Plan, output: int) -> Any:
 
 def _window(identification: Identification, plan: Plan, output: int) -> Any:
     """The same close by: a window that follows the cursor."""
-    import rerun.blueprint as rrb
-
     at = rrb.TimeRangeBoundary
     ends = (at.cursor_relative(seconds=-0.15 * plan.window), at.cursor_relative(seconds=0.85 * plan.window))
     title = f"{label(_name(identification, output))} at the cursor, measured and simulated"
@@ -230,12 +216,8 @@ RESPONSES: Final = Pane("responses/plot", 1100.0, 820.0)
 TEXT: Final = "responses/text"
 
 
-def log_response_page(
-    identification: Identification, response: "FrequencyResponse", recording: "rerun.RecordingStream"
-) -> None:
+def log_response_page(identification: Identification, response: FrequencyResponse, recording: RecordingStream) -> None:
     """The responses with the model over them, and what was found and chosen in words."""
-    import rerun as rr
-
     log_chart(recording, RESPONSES, measured_responses(identification, tabled_frf(response)))
     flat = response.response.reshape(response.n_lines, -1)
     columns: dict[str, Iterable[object]] = {
@@ -247,13 +229,10 @@ def log_response_page(
     parts = [f"### {modes_headline(identification)}"]
     parts += [f"**Read this:** {cell(warning)}" for warning in identification.warnings]
     parts.append(choices_text(identification))
-    document = rr.TextDocument("\n\n".join(parts), media_type=rr.MediaType.MARKDOWN)
-    recording.log(TEXT, document, static=True, strict=True)
+    log_text(recording, TEXT, "\n\n".join(parts))
 
 
 def response_page() -> Any:
     """The page: responses on the left, words on the right."""
-    import rerun.blueprint as rrb
-
     views = plot_view(RESPONSES, "Measured and synthesised"), document_view(TEXT, "Found and chosen")
     return rrb.Horizontal(*views, column_shares=[2.2, 1.0], name="Responses")

@@ -10,7 +10,7 @@ The components of a real mode lie on one line; it lies flat here, since shapes a
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -28,18 +28,15 @@ from modal.identification.result import Identification
 from modal.identification.words import damping_text
 from modal.modes.mode import Mode
 from modal.modes.shape_comparison import assurance
-from modal.recording.figure import Palette, Pane, document_view, plot_view
+from modal.recording.figure import Palette, Pane, RecordingStream, document_view, plot_view, rr, rrb
 from modal.recording.identification.shapes import log_shape, shape_path
 from modal.recording.plan import Plan, cell, label
-from modal.recording.tables import UNKNOWN, bullets, choices_text, log_table, table
+from modal.recording.tables import UNKNOWN, bullets, choices_text, known, log_table, log_text, table
 from modal.sections.words import remark_of
 from modal.wording.text import NINETY_FIVE, hertz, ratio_text, with_interval
 from okid.arrays import ComplexArray, FloatArray
 from okid.frequency_response import FrequencyResponse
 from okid.record import Record
-
-if TYPE_CHECKING:
-    import rerun
 
 COMPLEXITY: Final = "modes/complexity"
 
@@ -49,8 +46,6 @@ class Circles:
 
     ROOM: Final = (390.0, 230.0)
     """Draw in this width and height, about those of the pane on a common screen: a view unit is a point of it."""
-    WORDS: Final = 24.0
-    """Leave this height for the words under a circle, in view units."""
     GAP: Final = 7.0
     """Keep two circles so far apart, in view units."""
     MOST_COLUMNS: Final = 3
@@ -68,17 +63,12 @@ def _cells(n_shapes: int) -> tuple[int, int, float]:
     n_columns = min(max(n_shapes, 1), Circles.MOST_COLUMNS)
     n_rows = -(-max(n_shapes, 1) // n_columns)
     height = max(Circles.ROOM[1] / n_rows, 74.0)
-    return n_columns, n_rows, min(Circles.ROOM[0] / Circles.MOST_COLUMNS, height - Circles.WORDS) / 2 - Circles.GAP
+    # less the words under the circle
+    return n_columns, n_rows, min(Circles.ROOM[0] / Circles.MOST_COLUMNS, height - 24.0) / 2 - Circles.GAP
 
 
-def log_complexity(recording: "rerun.RecordingStream", plan: Plan, record: Record | FrequencyResponse) -> None:
-    """One circle for each shape that is drawn, with collinearity and phase deviation in numbers and words.
-
-    Args:
-        recording: the stream.
-        plan: of the recording.
-        record: whose outputs they are.
-    """
+def log_complexity(recording: RecordingStream, plan: Plan, record: Record | FrequencyResponse) -> None:
+    """One circle for each shape that is drawn, with collinearity and phase deviation in numbers and words."""
     pane, radius = complexity_pane(len(plan.shapes)), _cells(len(plan.shapes))[2]
     centres = _centres(len(plan.shapes), pane)
     circle = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 65))
@@ -123,7 +113,7 @@ def _words(number: int, mode: Mode) -> str:
 
 
 def _strips(
-    recording: "rerun.RecordingStream",
+    recording: RecordingStream,
     name: str,
     strips: list[FloatArray],
     colour: tuple[int, int, int],
@@ -131,15 +121,11 @@ def _strips(
     *,
     order: float,
 ) -> None:
-    import rerun as rr
-
     lines = rr.LineStrips2D(strips, radii=rr.Radius.ui_points(width), colors=colour, draw_order=order)
     recording.log(f"{COMPLEXITY}/{name}", lines, static=True, strict=True)
 
 
-def _points(recording: "rerun.RecordingStream", name: str, places: FloatArray, texts: list[str]) -> None:
-    import rerun as rr
-
+def _points(recording: RecordingStream, name: str, places: FloatArray, texts: list[str]) -> None:
     points = rr.Points2D(
         places,
         radii=rr.Radius.ui_points(2.6),
@@ -151,9 +137,7 @@ def _points(recording: "rerun.RecordingStream", name: str, places: FloatArray, t
     recording.log(f"{COMPLEXITY}/{name}", points, static=True, strict=True)
 
 
-def _texts(recording: "rerun.RecordingStream", name: str, places: FloatArray, texts: list[str]) -> None:
-    import rerun as rr
-
+def _texts(recording: RecordingStream, name: str, places: FloatArray, texts: list[str]) -> None:
     points = rr.Points2D(
         places,  # a label hangs below its point
         radii=rr.Radius.ui_points(0.0),
@@ -175,13 +159,7 @@ HEAD: Final = (
 
 
 def modes_text(identification: Identification, plan: Plan, placement: Placement | None) -> str:
-    """The table of all modes, noise included, with every indicator, the verdict and its reason.
-
-    Args:
-        identification: whose modes.
-        plan: their numbers.
-        placement: of the outputs on the structure, where shapes are drawn.
-    """
+    """The table of all modes, noise included, with every indicator, the verdict and its reason."""
     rows = [_row(number, mode) for number, mode in enumerate(plan.modes, start=1)]
     parts = [table(*_with_content(HEAD, rows)) if rows else "The model has no mode."]
     parts.append(_key(identification, plan))
@@ -208,7 +186,7 @@ def _key(identification: Identification, plan: Plan) -> str:
         "gain: share of the squared error without the mode that it removes. γ: amplitude coherence. EMAC: extended "
         "modal amplitude coherence. MPC: phase collinearity. MPD: mean phase deviation. CMI = EMAC · MPC. MSV: mode "
         "singular value over the largest. "
-        f"n/(pq) = {_number(caution, 2)}"
+        f"n/(pq) = {known(caution, '.2f')}"
         + (": the indicators test the observer more than the data." if caution > 0.3 else ".")
     )
 
@@ -221,21 +199,21 @@ def _assurance_words(identification: Identification, plan: Plan) -> list[str]:
 
 def _row(number: int, mode: Mode) -> list[str]:
     strong = "**" if mode.verdict == "system" else ""
-    known = mode.kind != "real" and mode.damping_resolved
+    resolved = mode.kind != "real" and mode.damping_resolved
     damping = f"{strong}{_interval(100 * mode.damping_ratio, 100 * NINETY_FIVE * mode.damping_ratio_std)}{strong}"
     return [
         str(number),
         f"{strong}{_frequency(mode)}{strong}",
-        damping if known else damping_text(mode),
+        damping if resolved else damping_text(mode),
         f"{strong}{mode.verdict}{strong}",
-        *[_number(value, 2) for value in (mode.repeatability, mode.probability)],
-        _figures(mode.gain),
-        *[_number(value, 2) for value in (mode.amplitude_coherence, mode.emac_output, mode.emac_input, mode.emac)],
-        _number(mode.phase_collinearity, 2),
-        _number(mode.mpd, 0),
+        *[known(value, ".2f") for value in (mode.repeatability, mode.probability)],
+        known(mode.gain, ".2g"),
+        *[known(value, ".2f") for value in (mode.amplitude_coherence, mode.emac_output, mode.emac_input, mode.emac)],
+        known(mode.phase_collinearity, ".2f"),
+        known(mode.mpd, ".0f"),
         complexity_words(mode),
-        _number(mode.cmi, 2),
-        _number(mode.msv, 2),
+        known(mode.cmi, ".2f"),
+        known(mode.msv, ".2f"),
         mode.kind,
         cell(_start(remark_of(mode))) if remark_of(mode) else UNKNOWN,
     ]
@@ -260,14 +238,6 @@ def _with_content(head: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[l
     """Leave out columns that say nothing: no value in any row, or every pole oscillatory."""
     said = [k for k in range(len(head)) if {row[k] for row in rows} - {UNKNOWN, "oscillatory"}]
     return [head[k] for k in said], [[row[k] for k in said] for row in rows]
-
-
-def _number(value: float, decimals: int) -> str:
-    return f"{value:.{decimals}f}" if np.isfinite(value) else UNKNOWN
-
-
-def _figures(value: float) -> str:
-    return f"{value:.2g}" if np.isfinite(value) else UNKNOWN
 
 
 MODES_TEXT: Final = "modes/text"
@@ -301,16 +271,6 @@ FIELDS: Final = (
 """Fields of a mode that the table stores under their own names."""
 
 
-class Cells:
-    """Numbers in the cells of the assurance matrix."""
-
-    NUMBERED: Final = 12
-    CROWDED: Final = 6
-    SMALL: Final = 0.05
-    """Write the numbers of cells up to so many shapes; beyond so many leave out those below this, which hide
-    colours."""
-
-
 def placement_in(identification: Identification, plan: Plan) -> Placement:
     """The outputs on the plan's geometry, or in a row where it has none.
 
@@ -321,14 +281,12 @@ def placement_in(identification: Identification, plan: Plan) -> Placement:
     return placed(plan.geometry, first.output_names, first.output_units)
 
 
-def log_modes_page(identification: Identification, recording: "rerun.RecordingStream", plan: Plan) -> None:
+def log_modes_page(identification: Identification, recording: RecordingStream, plan: Plan) -> None:
     """Shapes that move, their complexity, tables in words and in numbers, assurance matrix.
 
     Raises:
         InvalidDataError: a geometry is given, and no output has a place in it.
     """
-    import rerun as rr
-
     placement = placement_in(identification, plan)
     if plan.shapes:
         scene = scene_of(placement)
@@ -336,16 +294,15 @@ def log_modes_page(identification: Identification, recording: "rerun.RecordingSt
             log_shape(plan.modes[number - 1], number, recording, plan, scene)
         log_complexity(recording, plan, identification.channels)
         _log_geometry(identification, recording, plan, placement)
-    words = modes_text(identification, plan, placement)
-    for path, text in ((MODES_TEXT, words), (CHOICES_TEXT, choices_text(identification))):
-        recording.log(path, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True, strict=True)
+    log_text(recording, MODES_TEXT, modes_text(identification, plan, placement))
+    log_text(recording, CHOICES_TEXT, choices_text(identification))
     if plan.modes:
         _log_table(recording, plan)
     if plan.compared:
         _log_assurance(identification, recording, plan)
 
 
-def _log_table(recording: "rerun.RecordingStream", plan: Plan) -> None:
+def _log_table(recording: RecordingStream, plan: Plan) -> None:
     """Every mode as numbers on the timeline "mode"."""
     modes = plan.modes
     index = np.arange(1, len(modes) + 1)
@@ -360,9 +317,7 @@ def _log_table(recording: "rerun.RecordingStream", plan: Plan) -> None:
         log_table(recording, f"modes/{name}s", "mode", index, parts)
 
 
-def _log_geometry(
-    identification: Identification, recording: "rerun.RecordingStream", plan: Plan, placement: Placement
-) -> None:
+def _log_geometry(identification: Identification, recording: RecordingStream, plan: Plan, placement: Placement) -> None:
     """The structure as numbers: nodes, sensors, and the deflections that are drawn."""
     geometry, names = placement.geometry, identification.channels.output_names
     places = {axis: geometry.positions[:, k].tolist() for k, axis in enumerate("xyz")}
@@ -386,9 +341,7 @@ def _log_geometry(
     log_table(recording, DEFLECTIONS_TABLE, "mode", plan.shapes, parts)
 
 
-def _log_assurance(identification: Identification, recording: "rerun.RecordingStream", plan: Plan) -> None:
-    import rerun as rr
-
+def _log_assurance(identification: Identification, recording: RecordingStream, plan: Plan) -> None:
     modes = [plan.modes[number - 1] for number in plan.shapes]
     first = identification.channels
     shapes = comparable_shapes(modes, first.output_names, first.output_units)
@@ -399,9 +352,9 @@ def _log_assurance(identification: Identification, recording: "rerun.RecordingSt
     log_table(recording, f"{ASSURANCE}/numbers", "mode", plan.shapes, {"assurance": list(matrix)})
     rows, columns = np.mgrid[:n, :n]
     cells = np.column_stack([columns.ravel(), rows.ravel()]) + 0.5
-    written = np.flatnonzero(matrix.ravel() >= (Cells.SMALL if n > Cells.CROWDED else 0.0))
+    written = np.flatnonzero(matrix.ravel() >= (0.05 if n > 6 else 0.0))  # numbers would hide the colours
     texts = [_short(value) for value in matrix.ravel()[written]]
-    _log_texts(recording, f"{ASSURANCE}/values", cells[written], texts, n, show=n <= Cells.NUMBERED)
+    _log_texts(recording, f"{ASSURANCE}/values", cells[written], texts, n, show=n <= 12)
     names = [str(number) for number in plan.shapes]
     along = np.arange(n) + 0.5
     margin = 0.09 * n**0.5
@@ -417,10 +370,8 @@ def _short(value: float) -> str:
 
 
 def _log_texts(
-    recording: "rerun.RecordingStream", path: str, places: FloatArray, texts: list[str], n: int, *, show: bool
+    recording: RecordingStream, path: str, places: FloatArray, texts: list[str], n: int, *, show: bool
 ) -> None:
-    import rerun as rr
-
     # a label hangs below its point: about 18 points on the screen, of about 400 for the whole matrix
     points = rr.Points2D(
         places - [0.0, 0.045 * n],
@@ -441,18 +392,10 @@ class ShapePanes:
     ROOM: Final = (1000.0, 500.0)
     TITLE: Final = 28.0
     """Share this width and height among all shapes, less a title of each, in points of a common screen."""
-    COLUMNS: Final = 4
-    """Set at most so many panes side by side, so that each is wide enough for its title."""
-    MARGIN: Final = 1.1
-    """Show so much more than the shapes reach."""
-    AIMING: Final = 20
-    """Move the aim so often, each time halving what is off."""
 
 
 def modes_page(identification: Identification, plan: Plan) -> Any:
     """Shapes beside their assurance and complexity, over the table in words and in numbers."""
-    import rerun.blueprint as rrb
-
     words: list[Any] = [document_view(MODES_TEXT, "Mode table"), document_view(CHOICES_TEXT, "Choices and warnings")]
     if plan.modes:
         columns = ["mode", *(f"/{MODES_TABLE}:{name}" for name in FIELDS)]
@@ -487,7 +430,7 @@ def _grid(n_views: int, scene: Scene, points: FloatArray) -> tuple[int, float]:
     """Columns of the grid of shapes and width over height of its panes: those that show the structure largest."""
     width, height = np.maximum(np.ptp(scene.eye.seen(points), axis=0), 0.3)
     sizes = {}
-    for n_columns in range(1, min(n_views, ShapePanes.COLUMNS) + 1):
+    for n_columns in range(1, min(n_views, 4) + 1):  # wide enough for a title
         pane = _pane(n_views, n_columns)
         sizes[n_columns] = min(pane[0] / width, pane[1] / height)
     n_columns = max(sizes, key=lambda one: (round(sizes[one], 6), -one))
@@ -500,8 +443,6 @@ def _pane(n_views: int, n_columns: int) -> tuple[float, float]:
 
 
 def _shape(plan: Plan, number: int, eye: Any) -> Any:
-    import rerun.blueprint as rrb
-
     mode = plan.modes[number - 1]
     resolved = mode.damping_resolved and mode.kind != "real"
     damping = ratio_text(mode.damping_ratio) if resolved else damping_text(mode).replace("not", "damping not")
@@ -522,15 +463,13 @@ def _eye(scene: Scene, points: FloatArray, aspect: float) -> Any:
 
     At a distance D a point of depth z is seen at (x - x0) / (D - z); the aim x0 is moved until what is seen is centred.
     """
-    import rerun.blueprint as rrb
-
     eye = scene.eye
     seen = eye.seen(points)
     middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
     depth = points @ eye.towards
-    half = ShapePanes.HALF_VIEW * np.array([aspect, 1.0]) / ShapePanes.MARGIN
+    half = ShapePanes.HALF_VIEW * np.array([aspect, 1.0]) / 1.1
     distance = 1.0
-    for _ in range(ShapePanes.AIMING):
+    for _ in range(20):  # each time halving what is off
         needed = np.abs(seen - middle) / half + depth[:, np.newaxis]
         distance = max(float(needed.max()), float(depth.max()) + 0.5)
         on_screen = (seen - middle) / (distance - depth)[:, np.newaxis]
@@ -540,8 +479,6 @@ def _eye(scene: Scene, points: FloatArray, aspect: float) -> Any:
 
 
 def _assurance(n_modes: int) -> Any:
-    import rerun.blueprint as rrb
-
     margin = 0.16 * n_modes
     return rrb.Spatial2DView(
         origin=ASSURANCE,

@@ -7,7 +7,7 @@ order chosen.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -17,15 +17,12 @@ from modal.identification.result import Identification, OrderEvidence
 from modal.modes.response_synthesis import frf
 from modal.plots.order import POLE_ROLES, colour_measure, order_fits, singular_values, stabilisation_diagram
 from modal.plots.panels import STYLE, Curve, Panel
-from modal.recording.figure import Palette, Pane, colour_of, log_chart, seen_at
+from modal.recording.figure import Palette, Pane, RecordingStream, colour_of, log_chart, rr, seen_at
 from modal.recording.plan import Plan
 from modal.recording.series import TIMELINE
-from modal.recording.tables import UNKNOWN, log_table, table
+from modal.recording.tables import known, log_table, table
 from modal.verdict.stabilisation import StabilisationPoint
 from okid.arrays import FloatArray
-
-if TYPE_CHECKING:
-    import rerun
 
 MODEL_ORDER: Final = "model_order"
 ORDER_TEXT: Final = "order/text"
@@ -40,8 +37,6 @@ class Orders:
     """List so many poles of an order."""
     POLES: Final = 20.0
     """Draw what plays on "model_order" over all lines of the chart."""
-    RESPONSE_LINES: Final = 1024
-    """Store the response of the model at so many frequencies."""
 
 
 def is_repeatability_known(evidence: OrderEvidence) -> bool:
@@ -54,10 +49,8 @@ def orders_of(evidence: OrderEvidence) -> list[int]:
     return sorted({point.order for point in evidence.stabilisation})
 
 
-def log_poles(recording: "rerun.RecordingStream", panel: Panel, evidence: OrderEvidence, plan: Plan) -> None:
+def log_poles(recording: RecordingStream, panel: Panel, evidence: OrderEvidence, plan: Plan) -> None:
     """All poles on "time"; on "model_order" those of the orders below, and those of the order in front of them."""
-    import rerun as rr
-
     low, high = panel.x.limits or (0.0, np.inf)
     points = sorted(evidence.stabilisation, key=lambda point: point.order)
     points = [point for point in points if low <= point.frequency <= high]
@@ -83,7 +76,7 @@ def log_poles(recording: "rerun.RecordingStream", panel: Panel, evidence: OrderE
         )
         recording.log(entity, style, static=True, strict=True)
     whole = rr.Points2D.columns(positions=places, colors=colours, labels=texts).partition([len(points)])
-    recording.send_columns(f"{path}/poles", [rr.TimeColumn(TIMELINE, duration=[plan.start])], whole, strict=True)
+    recording.send_columns(f"{path}/poles", [rr.TimeColumn(TIMELINE, duration=[plan.data.start])], whole, strict=True)
     line = np.stack([seen_at(panel, [low, high], [step, step]) for step in steps])
     columns = rr.LineStrips2D.columns(strips=line)
     recording.send_columns(f"{path}/order_now", index, columns, strict=True)
@@ -101,17 +94,8 @@ def _pole_colours(points: Sequence[StabilisationPoint], evidence: OrderEvidence)
     return np.array([colour_of(role) for role in POLE_ROLES], dtype=np.uint8)[number]
 
 
-def mark_orders(recording: "rerun.RecordingStream", pane: Pane, panel: Panel, evidence: OrderEvidence) -> None:
-    """On "model_order", a white dot on the plotted value of each order, and none at an order without a value.
-
-    Args:
-        recording: the stream.
-        pane: of the plot.
-        panel: where orders stand along, and values as dots.
-        evidence: whose orders.
-    """
-    import rerun as rr
-
+def mark_orders(recording: RecordingStream, pane: Pane, panel: Panel, evidence: OrderEvidence) -> None:
+    """On "model_order", a white dot on the plotted value of each order, and none at an order without a value."""
     at = np.array(orders_of(evidence), dtype=np.int64)
     values = {x: y for line in panel.lines if line.dot for x, y in line.corners.tolist()}
     heights = np.array([values.get(order, np.nan) for order in at.tolist()])
@@ -126,16 +110,14 @@ def mark_orders(recording: "rerun.RecordingStream", pane: Pane, panel: Panel, ev
     recording.log(entity, style, static=True, strict=True)
 
 
-def log_order_texts(evidence: OrderEvidence, recording: "rerun.RecordingStream", plan: Plan) -> None:
+def log_order_texts(evidence: OrderEvidence, recording: RecordingStream, plan: Plan) -> None:
     """What each order has, in words: on "model_order" all of them, on "time" the one chosen."""
-    import rerun as rr
-
     orders = orders_of(evidence) or [evidence.order]
     for timeline, shown in ((MODEL_ORDER, orders), (TIMELINE, [evidence.order])):
         texts = [order_text(evidence, order) for order in shown]
         columns = rr.TextDocument.columns(text=texts, media_type=[rr.MediaType.MARKDOWN] * len(texts))
         at = (
-            rr.TimeColumn(timeline, duration=[plan.start])
+            rr.TimeColumn(timeline, duration=[plan.data.start])
             if timeline == TIMELINE
             else rr.TimeColumn(timeline, sequence=shown)
         )
@@ -157,8 +139,8 @@ def order_text(evidence: OrderEvidence, order: int) -> str:
         facts.append(f"singular value {values[order - 1] / values[order]:.3g} times the next")
     parts.append("; ".join(facts) + ".")
     if points:
-        parts.append(_poles_sentence(points, known=is_repeatability_known(evidence)))
-        parts.append(_poles_table(points, known=is_repeatability_known(evidence)))
+        parts.append(_poles_sentence(points, found_again=is_repeatability_known(evidence)))
+        parts.append(_poles_table(points, found_again=is_repeatability_known(evidence)))
     if evidence.stabilisation:
         parts.append(
             "Choose the timeline **model_order** at the bottom and drag it: the poles appear as the order grows. On "
@@ -167,23 +149,23 @@ def order_text(evidence: OrderEvidence, order: int) -> str:
     return "\n\n".join(parts)
 
 
-def _poles_sentence(points: Sequence[StabilisationPoint], *, known: bool) -> str:
-    sure = sum((point.repeatability if known else point.overlap) >= Orders.SURE for point in points)
+def _poles_sentence(points: Sequence[StabilisationPoint], *, found_again: bool) -> str:
+    sure = sum((point.repeatability if found_again else point.overlap) >= Orders.SURE for point in points)
     how = "were found again from halves of the data and with another observer"
-    if not known:
+    if not found_again:
         how = "continue a pole of the order below"
     return f"{sure} of its {len(points)} poles {how} (overlap {Orders.SURE:g} or more)."
 
 
-def _poles_table(points: Sequence[StabilisationPoint], *, known: bool) -> str:
-    head = ["f [Hz]", "ζ [%]", *(["again"] if known else []), "order below", "EMAC"]
+def _poles_table(points: Sequence[StabilisationPoint], *, found_again: bool) -> str:
+    head = ["f [Hz]", "ζ [%]", *(["again"] if found_again else []), "order below", "EMAC"]
     rows = [
         [
             f"{point.frequency:.5g}",
             f"{100 * point.damping_ratio:.2g}",
-            *([_share(point.repeatability)] if known else []),
-            _share(point.overlap),
-            _share(point.emac),
+            *([known(point.repeatability, ".2f")] if found_again else []),
+            known(point.overlap, ".2f"),
+            known(point.emac, ".2f"),
         ]
         for point in points[: Orders.LISTED_POLES]
     ]
@@ -199,22 +181,18 @@ def _pole_label(point: StabilisationPoint) -> str:
     return text + (f", found again {point.repeatability:.3f}" if np.isfinite(point.repeatability) else "")
 
 
-def _share(value: float) -> str:
-    return f"{value:.2f}" if np.isfinite(value) else UNKNOWN
-
-
 SINGULAR_VALUES: Final = Pane("order/singular_values/plot", 480.0, 430.0)
 ORDER_FIT: Final = Pane("order/fit/plot", 480.0, 370.0)
 STABILISATION: Final = Pane("order/stabilisation/plot", 640.0, 630.0)
 """Draw in about the shape that the view has on a common screen."""
 
 
-def log_order_page(identification: Identification, recording: "rerun.RecordingStream", plan: Plan) -> None:
+def log_order_page(identification: Identification, recording: RecordingStream, plan: Plan) -> None:
     """Singular values, cross-validated fit against order, stabilisation diagram over the measured spectrum."""
     evidence = identification.order_evidence
     _log_numbers(evidence, recording)
     log_order_texts(evidence, recording, plan)
-    frequencies = np.linspace(0.0, 0.5 / identification.realisation.dt, Orders.RESPONSE_LINES + 1)[1:]
+    frequencies = np.linspace(0.0, 0.5 / identification.realisation.dt, 1024 + 1)[1:]
     _log_response(recording, frequencies, _response_size(identification, frequencies))
     for pane, chart in (
         (SINGULAR_VALUES, singular_values(evidence, limit=max(40, 4 * evidence.order))),
@@ -250,7 +228,7 @@ def _response_size(identification: Identification, frequencies: FloatArray) -> F
     return np.where(np.isfinite(size), size, np.nan)
 
 
-def _log_numbers(evidence: OrderEvidence, recording: "rerun.RecordingStream") -> None:
+def _log_numbers(evidence: OrderEvidence, recording: RecordingStream) -> None:
     values = evidence.singular_values
     index = np.arange(1, values.size + 1)
     kept = {"singular_value": values, "kept": index <= evidence.order}
@@ -268,6 +246,6 @@ def _log_numbers(evidence: OrderEvidence, recording: "rerun.RecordingStream") ->
     log_table(recording, "order/stabilisation", MODEL_ORDER, orders, poles)
 
 
-def _log_response(recording: "rerun.RecordingStream", frequencies: FloatArray, size: FloatArray) -> None:
+def _log_response(recording: RecordingStream, frequencies: FloatArray, size: FloatArray) -> None:
     lines = np.arange(1, frequencies.size + 1)
     log_table(recording, "order/response", "frequency_line", lines, {"frequency": frequencies, "size": size})

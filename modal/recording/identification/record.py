@@ -5,7 +5,7 @@ a row a channel.
 """
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -14,41 +14,37 @@ from modal.plots.panels import IN_TURN, STYLE
 from modal.plots.responses import density_label
 from modal.preparation.channel import Finding
 from modal.quality.findings import DataQuality
-from modal.recording.figure import COLOURS, Colour, Palette, Pane, document_view, log_chart, plot_view, series_view
+from modal.recording.figure import (
+    COLOURS,
+    Colour,
+    Palette,
+    Pane,
+    RecordingStream,
+    document_view,
+    log_chart,
+    plot_view,
+    rr,
+    rrb,
+    series_view,
+)
 from modal.recording.identification.fit import inputs_view
 from modal.recording.plan import DataPlan, Views, cell, label, name_with_unit
-from modal.recording.series import TIMELINE, log_series, time_axis
-from modal.recording.tables import UNKNOWN, WordLimits, bullets, log_table, table
+from modal.recording.series import TIMELINE, Interpolation, Line, log_lines, time_axis
+from modal.recording.tables import WordLimits, bullets, known, log_table, log_text, table, unit_cell
 from okid.record import Record
-
-if TYPE_CHECKING:
-    import rerun
 
 
 class RecordLimits:
     """How much of a record is shown."""
 
-    LISTED_FINDINGS: Final = 20
-    """List so many findings in words, the gravest first; the table of findings holds all."""
     MOST_MARKS: Final = 10
     """Mark so many findings on the time axis, a row each."""
-    SHORTEST_MARK: Final = 0.004
-    """Draw a mark at least this share of the timeline long, so that it is seen."""
     SHOWN_SPECTRA: Final = 6
     """Draw the spectra of so many inputs and of so many outputs."""
-    SPECTRUM_DECADES: Final = 8.0
-    """Leave out of the range of a spectrum what lies so many decades below its peak."""
-    ONE_COLUMN: Final = 4
-    """Set outputs one below the other up to so many, in two columns beyond."""
 
 
 def quality_text(quality: DataQuality, records: Sequence[Record]) -> str:
-    """What the data are good for, before any model.
-
-    Args:
-        quality: of the records.
-        records: the same.
-    """
+    """What the data are good for, before any model."""
     first = records[0]
     n_samples = sum(record.n_samples for record in records)
     seconds = sum(record.n_samples * record.dt for record in records)
@@ -58,7 +54,7 @@ def quality_text(quality: DataQuality, records: Sequence[Record]) -> str:
         f"{_count(first.n_inputs, 'input')}, {_count(first.n_outputs, 'output')}."
     )
     parts = [f"### {cell(quality.verdict)}", extent]
-    found = quality.findings[: RecordLimits.LISTED_FINDINGS]
+    found = quality.findings[:20]
     lines = [
         f"{k}. **{one.level}**, {cell(one.where, 80)}: {cell(one.sentence)}" for k, one in enumerate(found, start=1)
     ]
@@ -70,11 +66,11 @@ def quality_text(quality: DataQuality, records: Sequence[Record]) -> str:
     rows = [
         [
             cell(one.name, 24),
-            cell(one.unit, 12) if one.unit else UNKNOWN,
-            _figures(one.statistics.std),
-            _figures(max(abs(one.statistics.smallest), abs(one.statistics.largest))),
-            f"{one.statistics.signal_to_noise:.0f} dB" if np.isfinite(one.statistics.signal_to_noise) else UNKNOWN,
-            f"{100 * one.statistics.explained:.1f} %" if np.isfinite(one.statistics.explained) else UNKNOWN,
+            unit_cell(one.unit),
+            known(one.statistics.std, ".3g"),
+            known(max(abs(one.statistics.smallest), abs(one.statistics.largest)), ".3g"),
+            known(one.statistics.signal_to_noise, ".0f", " dB"),
+            known(100 * one.statistics.explained, ".1f", " %"),
             one.level if one.level == "good" else f"**{one.level}**",
         ]
         for one in quality.channels[: WordLimits.LISTED]
@@ -90,10 +86,6 @@ def quality_text(quality: DataQuality, records: Sequence[Record]) -> str:
 
 def _count(number: int, what: str) -> str:
     return f"{number} {what}{'s' * (number != 1)}"
-
-
-def _figures(value: float) -> str:
-    return f"{value:.3g}" if np.isfinite(value) else UNKNOWN
 
 
 LEVEL_COLOURS: Final[dict[str, Colour]] = {"bad": Palette.RED, "doubtful": Palette.GOLD, "note": (140, 165, 210)}
@@ -124,47 +116,35 @@ def marked(quality: DataQuality) -> list[tuple[int, Finding]]:
 
 
 def log_record_page(
-    records: Sequence[Record], recording: "rerun.RecordingStream", plan: DataPlan, quality: DataQuality
+    records: Sequence[Record], recording: RecordingStream, plan: DataPlan, quality: DataQuality
 ) -> None:
-    """Every measured channel over time, where each record stands, spectra and coherence, the quality in words.
-
-    Args:
-        records: what was measured.
-        recording: the stream.
-        plan: of these records.
-        quality: of these records.
-    """
-    import rerun as rr
-
+    """Every measured channel over time, where each record stands, spectra and coherence, the quality in words."""
     _log_channels(records, recording, plan)
     _log_places(records, recording, plan)
-    document = rr.TextDocument(quality_text(quality, records), media_type=rr.MediaType.MARKDOWN)
-    recording.log(quality_path(plan), document, static=True, strict=True)
+    log_text(recording, quality_path(plan), quality_text(quality, records))
     _log_numbers(quality, recording, plan)
     _log_marks(records, quality, recording, plan)
     _draw_spectra(quality, recording, plan)
 
 
-def _log_channels(records: Sequence[Record], recording: "rerun.RecordingStream", plan: DataPlan) -> None:
+def _log_channels(records: Sequence[Record], recording: RecordingStream, plan: DataPlan) -> None:
     times = time_axis(records, plan)
     first = records[0]
     for i, path in enumerate(plan.input_paths):
-        log_series(
-            recording,
-            path,
-            times,
-            [record.inputs[:, i] for record in records],
-            plan=plan,
+        line = Line(
+            channels=[record.inputs[:, i] for record in records],
             name=name_with_unit(first.input_names[i], first.input_units[i]),
             colour=COLOURS[INPUT_ROLES[i % len(INPUT_ROLES)]],
-            interpolation="StepAfter" if first.input_hold == "zero_order" else "Linear",
         )
+        between: Interpolation = "StepAfter" if first.input_hold == "zero_order" else "Linear"
+        log_lines(recording, path, times, [line], plan=plan, interpolation=between)
     for i, path in enumerate(plan.output_paths):
         channels = [record.outputs[:, i] for record in records]
-        log_series(recording, path, times, channels, plan=plan, name="measured", colour=Palette.BLUE, width=3.0)
+        line = Line(channels=channels, name="measured", colour=Palette.BLUE, width=3.0)
+        log_lines(recording, path, times, [line], plan=plan)
 
 
-def _log_places(records: Sequence[Record], recording: "rerun.RecordingStream", plan: DataPlan) -> None:
+def _log_places(records: Sequence[Record], recording: RecordingStream, plan: DataPlan) -> None:
     columns: dict[str, Iterable[object]] = {
         "name": [record.name for record in records],
         "n_samples": [record.n_samples for record in records],
@@ -176,7 +156,7 @@ def _log_places(records: Sequence[Record], recording: "rerun.RecordingStream", p
     log_table(recording, f"{plan.root}/records", "record", np.arange(1, len(records) + 1), columns)
 
 
-def _log_numbers(quality: DataQuality, recording: "rerun.RecordingStream", plan: DataPlan) -> None:
+def _log_numbers(quality: DataQuality, recording: RecordingStream, plan: DataPlan) -> None:
     found = quality.findings
     findings: dict[str, Iterable[object]] = {
         name: [getattr(finding, name) for finding in found] for name in ("what", "where", "sentence", "share")
@@ -208,16 +188,12 @@ def _log_numbers(quality: DataQuality, recording: "rerun.RecordingStream", plan:
         log_table(recording, f"{plan.root}/coherence/numbers", "frequency_line", lines, coherence)
 
 
-def _log_marks(
-    records: Sequence[Record], quality: DataQuality, recording: "rerun.RecordingStream", plan: DataPlan
-) -> None:
+def _log_marks(records: Sequence[Record], quality: DataQuality, recording: RecordingStream, plan: DataPlan) -> None:
     """A bar over every time of a finding, findings one below the other in the order of the words.
 
     A bar is at least so long that it is seen; the table "quality/findings" has the times themselves.
     """
-    import rerun as rr
-
-    shortest = RecordLimits.SHORTEST_MARK * (plan.stop - plan.start)
+    shortest = 0.004 * (plan.stop - plan.start)  # so that it is seen
 
     for row, (number, finding) in enumerate(marked(quality), start=1):
         times: list[float] = []
@@ -244,7 +220,7 @@ def _log_marks(
         recording.log(path, style, static=True, strict=True)
 
 
-def _draw_spectra(quality: DataQuality, recording: "rerun.RecordingStream", plan: DataPlan) -> None:
+def _draw_spectra(quality: DataQuality, recording: RecordingStream, plan: DataPlan) -> None:
     """Inputs over outputs over coherence, all over one axis of frequency."""
     if not quality.frequencies.size:
         return
@@ -263,7 +239,7 @@ def _draw_spectra(quality: DataQuality, recording: "rerun.RecordingStream", plan
         high = float(np.nanmax(quality.densities[:, shown], initial=0.0))
         seen = quality.densities[:, shown].ravel()
         panel.y.log = True
-        panel.y.limits = panel.y.fitted(seen[seen >= high * 10.0**-RecordLimits.SPECTRUM_DECADES])
+        panel.y.limits = panel.y.fitted(seen[seen >= high * 1e-8])  # decades below the peak
         panel.y.label, panel.key = f"{role}s [{_density_unit(quality, role)}]", "best"
     if coherence is not None:
         panel = chart.panels[-1]
@@ -286,8 +262,6 @@ def _density_unit(quality: DataQuality, role: str) -> str:
 
 def record_page(records: Sequence[Record], plan: DataPlan, quality: DataQuality) -> Any:
     """Inputs, findings on the time axis, outputs; to the right the quality in words over spectra and coherence."""
-    import rerun.blueprint as rrb
-
     rows = inputs_view(plan)
     shares = [1.0] * len(rows)
     marks = marked(quality)
@@ -306,12 +280,10 @@ def record_page(records: Sequence[Record], plan: DataPlan, quality: DataQuality)
 
 
 def _columns(plan: DataPlan) -> int:
-    return 1 if len(plan.shown_outputs) <= RecordLimits.ONE_COLUMN else 2
+    return 1 if len(plan.shown_outputs) <= 4 else 2
 
 
 def _outputs(records: Sequence[Record], plan: DataPlan) -> Any:
-    import rerun.blueprint as rrb
-
     first = records[0]
     views = []
     for i in plan.shown_outputs:
@@ -326,15 +298,11 @@ def _outputs(records: Sequence[Record], plan: DataPlan) -> Any:
 
 def _thin(output: int) -> Any:
     """The style on this page: the colour that the output has in the spectra, and a thin line."""
-    import rerun as rr
-
     colour = COLOURS[IN_TURN[output % len(IN_TURN)]]
     return rr.SeriesLines.from_fields(colors=colour, widths=1.0, aggregation_policy="MinMax")
 
 
 def _marks_view(plan: DataPlan, n_marks: int) -> Any:
-    import rerun.blueprint as rrb
-
     view = series_view(marks_path(plan), "What was found, and when", ["$origin/**"])
     view.properties["ScalarAxis"] = rrb.ScalarAxis(range=(-n_marks - 0.7, -0.3), zoom_lock=True)
     return view

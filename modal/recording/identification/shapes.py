@@ -7,20 +7,17 @@ surfaces that would take more than a third of it are left out.
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from modal.geometry.scene import Scene, envelope_of
 from modal.modes.mode import Mode
-from modal.recording.figure import Palette
+from modal.recording.figure import Palette, RecordingStream, rr
 from modal.recording.plan import Plan, label
 from modal.recording.series import TIMELINE
 from okid.arrays import ComplexArray, FloatArray
-
-if TYPE_CHECKING:
-    import rerun
 
 
 class Swinging:
@@ -43,14 +40,8 @@ class Still:
 
     SEGMENTS: Final = 20_000
     """Draw so many segments of the structure at rest: many more would make a viewer slow."""
-    NAMED_LETTERS: Final = 48
-    NAMED_SHAPES: Final = 4
-    """Name the nodes where their names have so many letters in all, in so many pictures."""
     STEMS: Final = 16
     """Give up to so many measured nodes a stem from rest to where they are."""
-    ARROWS: Final = 60
-    ARROW: Final = 0.16
-    """Show up to so many sensors as arrows of this length; half the largest extent is 1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -92,12 +83,7 @@ def shape_path(number: int) -> str:
 
 
 def pace_of(scene: Scene, n_shapes: int) -> Pace:
-    """The finest motion within the budget.
-
-    Args:
-        scene: the structure.
-        n_shapes: number of modes that are drawn.
-    """
+    """The finest motion within the budget."""
     room = Swinging.MOST_POINTS // (
         Swinging.FEWEST_PERIODS * Swinging.FEWEST_FRAMES * max(n_shapes, 1)
     )  # points a picture, at the least
@@ -129,23 +115,15 @@ def measured_nodes(scene: Scene) -> list[int]:
     return sorted({one.node for one in scene.placement.sensors if one is not None})
 
 
-def log_shape(mode: Mode, number: int, recording: "rerun.RecordingStream", plan: Plan, scene: Scene) -> None:
-    """One mode: the structure at rest, the envelope, and the motion over the whole of the timeline.
-
-    Args:
-        mode: whose shape.
-        number: its number in the plan.
-        recording: the stream.
-        plan: of the recording.
-        scene: the structure.
-    """
+def log_shape(mode: Mode, number: int, recording: RecordingStream, plan: Plan, scene: Scene) -> None:
+    """One mode: the structure at rest, the envelope, and the motion over the whole of the timeline."""
     path = shape_path(number)
     pace = pace_of(scene, len(plan.shapes))
     motion = scene.motion(mode)
-    _log_structure(path, recording, scene, named=len(plan.shapes) <= Still.NAMED_SHAPES)
+    _log_structure(path, recording, scene, named=len(plan.shapes) <= 4)  # small pictures have no room for names
     _log_envelope(path, recording, scene, pace, envelope_of(motion))
     n_frames = pace.periods * pace.frames
-    times = np.linspace(plan.start, max(plan.stop, plan.start + 1e-3), n_frames)
+    times = np.linspace(plan.data.start, max(plan.data.stop, plan.data.start + 1e-3), n_frames)
     moving = _Moving(
         rest=scene.positions,
         motion=motion,
@@ -155,10 +133,8 @@ def log_shape(mode: Mode, number: int, recording: "rerun.RecordingStream", plan:
     _log_motion(path, recording, scene, pace, times=times, moving=moving)
 
 
-def _log_structure(path: str, recording: "rerun.RecordingStream", scene: Scene, *, named: bool) -> None:
+def _log_structure(path: str, recording: RecordingStream, scene: Scene, *, named: bool) -> None:
     """What stands still: lines, nodes with their names, fixed nodes, which way the sensors look."""
-    import rerun as rr
-
     rest, geometry = scene.positions, scene.placement.geometry
     segments = scene.drawn_segments(Still.SEGMENTS)
     if len(segments):
@@ -174,29 +150,25 @@ def _log_structure(path: str, recording: "rerun.RecordingStream", scene: Scene, 
             radii=rr.Radius.ui_points(2.5),
             colors=Palette.GREY,
             labels=texts,
-            show_labels=named and sum(map(len, texts)) <= Still.NAMED_LETTERS,
+            show_labels=named and sum(map(len, texts)) <= 48,
         )
         recording.log(f"{path}/sensors", points, static=True, strict=True)
     if geometry.fixed:
         points = rr.Points3D(rest[list(geometry.fixed)], radii=rr.Radius.ui_points(6.0), colors=Palette.GREY)
         recording.log(f"{path}/fixed", points, static=True, strict=True)
     placed_ones = [one for one in scene.placement.sensors if one is not None]
-    if scene.placement.is_given and 0 < len(placed_ones) <= Still.ARROWS:
+    if scene.placement.is_given and 0 < len(placed_ones) <= 60:
         arrows = rr.Arrows3D(
             origins=rest[[one.node for one in placed_ones]],
-            vectors=[Still.ARROW * one.direction for one in placed_ones],
+            vectors=[0.16 * one.direction for one in placed_ones],  # half the largest extent is 1
             radii=rr.Radius.ui_points(0.9),
             colors=Palette.GOLD,
         )
         recording.log(f"{path}/directions", arrows, static=True, strict=True)
 
 
-def _log_envelope(
-    path: str, recording: "rerun.RecordingStream", scene: Scene, pace: Pace, furthest: FloatArray
-) -> None:
+def _log_envelope(path: str, recording: RecordingStream, scene: Scene, pace: Pace, furthest: FloatArray) -> None:
     """Both ends of the motion; nodes on no line show the stretch on which they move."""
-    import rerun as rr
-
     rest = scene.positions
     strips = [(rest + sign * furthest)[pace.segments] for sign in (1.0, -1.0) if len(pace.segments)]
     alone = np.setdiff1d(np.flatnonzero(scene.moving), scene.segments)
@@ -211,10 +183,8 @@ def _log_envelope(
 
 
 def _log_motion(
-    path: str, recording: "rerun.RecordingStream", scene: Scene, pace: Pace, *, times: FloatArray, moving: _Moving
+    path: str, recording: RecordingStream, scene: Scene, pace: Pace, *, times: FloatArray, moving: _Moving
 ) -> None:
-    import rerun as rr
-
     index = [rr.TimeColumn(TIMELINE, duration=times)]
     n_frames = len(times)
     if len(pace.segments):
@@ -240,7 +210,7 @@ def _log_motion(
 
 def _send_strips(
     path: str,
-    recording: "rerun.RecordingStream",
+    recording: RecordingStream,
     index: object,
     strips: npt.NDArray[np.float32],
     *,
@@ -248,8 +218,6 @@ def _send_strips(
     width: float,
 ) -> None:
     """Strips (n_frames, n_strips, n_places, 3), as many in every frame."""
-    import rerun as rr
-
     n_frames, n_strips, n_places, _ = strips.shape
     columns = rr.LineStrips3D.columns(strips=strips.reshape(-1, n_places, 3)).partition([n_strips] * n_frames)
     recording.send_columns(path, index, columns, strict=True)
@@ -257,9 +225,7 @@ def _send_strips(
     recording.log(path, style, static=True, strict=True)
 
 
-def _log_surface(path: str, recording: "rerun.RecordingStream", index: object, scene: Scene, moving: _Moving) -> None:
-    import rerun as rr
-
+def _log_surface(path: str, recording: RecordingStream, index: object, scene: Scene, moving: _Moving) -> None:
     corners, triangles = np.unique(scene.triangles, return_inverse=True)
     moved = moving.at(corners)
     columns = rr.Mesh3D.columns(vertex_positions=moved.reshape(-1, 3)).partition([len(corners)] * len(moved))

@@ -6,33 +6,26 @@ inputs the spectrum of the outputs takes the place of the response.
 """
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from modal.identification.result import Identification
-from modal.plots.layout import grid_of
+from modal.plots.layout import grid_of, one_panel
 from modal.plots.panels import STYLE, Panel
 from modal.plots.responses import density_label
-from modal.recording.figure import Pane, document_view, log_chart, plot_view, series_view
+from modal.recording.figure import Pane, RecordingStream, document_view, log_chart, plot_view, rrb, series_view, tabs
 from modal.recording.identification.fit import run_view
 from modal.recording.plan import Gathered, Plan, Views, cell, label
-from modal.recording.tables import UNKNOWN, WordLimits, log_table, table
+from modal.recording.tables import WordLimits, known, log_table, log_text, table, unit_cell
 from okid.arrays import ComplexArray, FloatArray
-
-if TYPE_CHECKING:
-    import rerun
 
 
 class ValidationLimits:
     """How much of a validation is drawn."""
 
-    MOST_RESPONSES: Final = 16
-    """Draw so many pairs of output and input, the shown outputs sharing them; at least one an output."""
     DECADES: Final = 5.0
     """Show so many decades of a magnitude; of a power spectrum, which is its square, twice as many."""
-    HIGHEST: Final = 100.0
-    """Let a peak of the model rise to so many times the largest measured value, and no further."""
 
 
 def response_pane(output: int, source: int) -> Pane:
@@ -67,7 +60,7 @@ def drawn_inputs(evidence: Gathered, plan: Plan, output: int) -> tuple[int, ...]
     """
     if evidence.measured is None:
         return ()
-    n_drawn = min(Views.INPUTS, max(1, ValidationLimits.MOST_RESPONSES // len(plan.data.shown_outputs)))
+    n_drawn = min(Views.INPUTS, max(1, 16 // len(plan.data.shown_outputs)))  # pairs, shared by the outputs
     strength = np.nan_to_num(evidence.measured.ordinary_coherence[:, output]).mean(axis=0)
     return tuple(np.argsort(-strength, kind="stable")[:n_drawn].tolist())
 
@@ -82,7 +75,8 @@ def two_line_limits(
     known = [values[np.isfinite(values) & (values > 0)] for values in (seen, made)]
     first = next((values for values in known if values.size), np.array([0.1, 10.0]))
     high = float(first.max())
-    high = max(high, min(ValidationLimits.HIGHEST * high, max(float(values.max(initial=0.0)) for values in known)))
+    # a peak of the model may rise to so many times the largest measured value
+    high = max(high, min(100.0 * high, max(float(values.max(initial=0.0)) for values in known)))
     return max(float(first.min()), high * 10.0**-decades), high
 
 
@@ -127,11 +121,11 @@ def _table(identification: Identification) -> tuple[list[str], list[list[str]]]:
         rows.append(
             [
                 cell(first.output_names[i], 24),
-                cell(first.output_units[i], 12) if first.output_units[i] else UNKNOWN,
-                f"**{_percent(fit.cross_validated[i])}**",
-                _percent(fit.whole[i] if driven else fit.one_step[i]),
-                _figures(left),
-                _figures(whole),
+                unit_cell(first.output_units[i]),
+                f"**{known(100 * fit.cross_validated[i], '.1f', ' %')}**",
+                known(100 * (fit.whole[i] if driven else fit.one_step[i]), ".1f", " %"),
+                known(left, ".3g"),
+                known(whole, ".3g"),
             ]
         )
     return head, rows
@@ -148,25 +142,14 @@ def _sizes(identification: Identification, output: int) -> tuple[float, float]:
     return float(np.sqrt(np.mean(left[there] ** 2))), float(np.std(measured[there]))
 
 
-def _percent(value: float) -> str:
-    return f"{100 * value:.1f} %" if np.isfinite(value) else UNKNOWN
-
-
-def _figures(value: float) -> str:
-    return f"{value:.3g}" if np.isfinite(value) else UNKNOWN
-
-
 VALIDATION_TEXT: Final = "validation/text"
 
 
 def log_validation_page(
-    identification: Identification, recording: "rerun.RecordingStream", plan: Plan, evidence: Gathered
+    identification: Identification, recording: RecordingStream, plan: Plan, evidence: Gathered
 ) -> None:
     """Responses or spectra of the shown outputs as pictures, those of all as numbers, and what they say."""
-    import rerun as rr
-
-    document = rr.TextDocument(validation_text(identification, evidence), media_type=rr.MediaType.MARKDOWN)
-    recording.log(VALIDATION_TEXT, document, static=True, strict=True)
+    log_text(recording, VALIDATION_TEXT, validation_text(identification, evidence))
     _log_responses(recording, plan, evidence)
     _log_densities(recording, plan, evidence)
     for output in plan.data.shown_outputs:
@@ -181,7 +164,7 @@ def log_validation_page(
                 _draw_density(identification, recording, evidence, where, output=output)
 
 
-def _log_responses(recording: "rerun.RecordingStream", plan: Plan, evidence: Gathered) -> None:
+def _log_responses(recording: RecordingStream, plan: Plan, evidence: Gathered) -> None:
     """Of all outputs; one value an input in each cell, none where the inputs cannot be told apart."""
     if evidence.measured is None:
         return
@@ -209,7 +192,7 @@ def _log_responses(recording: "rerun.RecordingStream", plan: Plan, evidence: Gat
             log_table(recording, f"validation/response/{output + 1:02d}/model", "frequency_line", at, between)
 
 
-def _log_densities(recording: "rerun.RecordingStream", plan: Plan, evidence: Gathered) -> None:
+def _log_densities(recording: RecordingStream, plan: Plan, evidence: Gathered) -> None:
     density = evidence.model_density
     if not density.size:
         return
@@ -224,7 +207,7 @@ def _log_densities(recording: "rerun.RecordingStream", plan: Plan, evidence: Gat
 
 
 def _draw_response(
-    identification: Identification, recording: "rerun.RecordingStream", evidence: Gathered, *, output: int, source: int
+    identification: Identification, recording: RecordingStream, evidence: Gathered, *, output: int, source: int
 ) -> None:
     """Magnitude over phase over coherence, one axis of frequency."""
     measured = evidence.measured
@@ -265,29 +248,27 @@ def _fill_magnitude(
 
 def _draw_magnitude(
     identification: Identification,
-    recording: "rerun.RecordingStream",
+    recording: RecordingStream,
     evidence: Gathered,
     pane: Pane,
     *,
     output: int,
     source: int,
 ) -> None:
-    chart = grid_of(1, 1, size=(STYLE.page, STYLE.page))
-    _fill_magnitude(chart.panels[0], identification, evidence, output=output, source=source)
+    chart, panel = one_panel(STYLE.page, STYLE.page)
+    _fill_magnitude(panel, identification, evidence, output=output, source=source)
     log_chart(recording, pane, chart)
 
 
 def _draw_density(
-    identification: Identification, recording: "rerun.RecordingStream", evidence: Gathered, pane: Pane, *, output: int
+    identification: Identification, recording: RecordingStream, evidence: Gathered, pane: Pane, *, output: int
 ) -> None:
     first, model = identification.channels, evidence.model_density[:, output]
     seen = evidence.quality.densities[: model.size, first.n_inputs + output]
-    chart = grid_of(1, 1, size=(STYLE.page, STYLE.page))
+    chart, panel = one_panel(STYLE.page, STYLE.page)
     frequencies = evidence.density_frequencies
-    _fill_pair(
-        chart.panels[0], (frequencies, seen), (frequencies, model), "of the model", decades=2 * ValidationLimits.DECADES
-    )
-    chart.panels[0].y.label = f"spectrum [{density_label(first.output_units[output])}]"
+    _fill_pair(panel, (frequencies, seen), (frequencies, model), "of the model", decades=2 * ValidationLimits.DECADES)
+    panel.y.label = f"spectrum [{density_label(first.output_units[output])}]"
     log_chart(recording, pane, chart)
 
 
@@ -317,20 +298,16 @@ def _phase(values: ComplexArray) -> FloatArray:
 
 def validation_page(identification: Identification, plan: Plan, evidence: Gathered) -> Any:
     """All outputs over frequency, then each over time and frequency; the words to the right."""
-    import rerun.blueprint as rrb
-
     outputs = plan.data.shown_outputs
-    tabs = [_one_output(identification, plan, evidence, i) for i in outputs]
+    views = [_one_output(identification, plan, evidence, i) for i in outputs]
     if len(outputs) > 1:
-        tabs = [_everything(identification, plan, evidence), *tabs]
-    left = rrb.Tabs(*tabs, active_tab=0, name="Outputs") if len(tabs) > 1 else tabs[0]
+        views = [_everything(identification, plan, evidence), *views]
+    left = tabs(views, "Outputs")
     words = document_view(VALIDATION_TEXT, "Validation in words")
     return rrb.Horizontal(left, words, column_shares=[2.4, 1.0], name="Validation")
 
 
 def _everything(identification: Identification, plan: Plan, evidence: Gathered) -> Any:
-    import rerun.blueprint as rrb
-
     views = [_overview(identification, plan, evidence, i) for i in plan.data.shown_outputs]
     return rrb.Grid(*views, grid_columns=overview_columns(len(views)), name="All outputs")
 
@@ -348,8 +325,6 @@ def _overview(identification: Identification, plan: Plan, evidence: Gathered, ou
 
 def _one_output(identification: Identification, plan: Plan, evidence: Gathered, output: int) -> Any:
     """Over time to the left, with what is left over; over frequency to the right, a tab an input."""
-    import rerun.blueprint as rrb
-
     name = label(_output(identification, output), 18)
     series = rrb.Vertical(
         run_view(identification, plan, output),
@@ -365,7 +340,7 @@ def _one_output(identification: Identification, plan: Plan, evidence: Gathered, 
         responses = [plot_view(density_pane(output), f"Spectrum of {name}")]
     if not responses:
         return rrb.Vertical(series, name=name)
-    right = rrb.Tabs(*responses, active_tab=0, name="Over frequency") if len(responses) > 1 else responses[0]
+    right = tabs(responses, "Over frequency")
     return rrb.Horizontal(series, right, column_shares=[1.25, 1.0], name=name)
 
 

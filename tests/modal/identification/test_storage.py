@@ -110,7 +110,7 @@ def test_an_existing_file_is_kept_unless_told(identification, tmp_path):
         identification.save(path)
     assert path.read_text() == "precious"
     assert_same(identification, storage.load(identification.save(path, existing="replace")))
-    with pytest.raises(InvalidDataError, match="existing must be one of refuse, replace, but is 'yes'"):
+    with pytest.raises(InvalidDataError, match="existing must be refuse or replace, but is 'yes'"):
         identification.save(path, existing="yes")
     with pytest.raises(InvalidDataError, match="does not exist; make it first"):
         identification.save(tmp_path / "nowhere" / "a.npz")

@@ -29,7 +29,7 @@ def chart():
     lower.segments([[[0.0, 0.0], [1.0, 2.0]], [[2.0, 0.0], [3.0, 1.0]]], "system", label="pieces")
     lower.segments([[[0.0, 0.0], [1.0, 1.0]]], "system", arrows=True)
     lower.x.ticks, lower.y.limits, lower.key = [(0.0, "none"), (3.0, "three")], (3.0, -1.0), "upper right"
-    made.key, made.title = Key(panel=upper, title="what it is"), "both"
+    made.key = Key(panel=upper, title="what it is")
     return made
 
 
@@ -51,7 +51,6 @@ def test_a_figure_shows_what_the_chart_holds(chart):
     np.testing.assert_array_equal(pieces.get_segments(), chart.panels[1].marks[1].ends)
     assert [text.get_text() for text in lower.get_legend().get_texts()] == ["band", "pieces"]
     assert figure.legends[0].get_title().get_text() == "what it is"
-    assert figure.get_suptitle() == "both"
 
 
 def test_panels_stand_where_the_chart_has_them(chart):

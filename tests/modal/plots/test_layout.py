@@ -23,7 +23,6 @@ def filled(n_rows, n_columns):
         panel.line([0.0, 1.0], [-(10.0**number), 10.0**number], "measured", label="a line")
         panel.head, panel.x.label, panel.y.label = "head", "time [s]", "force [N]"
     chart.key = Key(panel=chart.panels[0])
-    chart.title = "all of them"
     return chart
 
 

@@ -26,7 +26,7 @@ def test_clipping_is_found_with_its_share(channel_of, width, share):
     values = noise(width=width)
     low, high = np.quantile(values, [share / 2, 1 - share / 2])
     clipped = np.clip(values, low, high)
-    (finding,) = clipping_findings(channel_of(clipped), 1)
+    (finding,) = clipping_findings(channel_of(clipped))
     assert finding.level == "bad"
     assert finding.share == pytest.approx(share, rel=0.1)
     first = np.flatnonzero((clipped == low) | (clipped == high))[0]
@@ -35,7 +35,7 @@ def test_clipping_is_found_with_its_share(channel_of, width, share):
 
 def test_one_side_alone_is_found(channel_of):
     values = np.minimum(noise(), 1.5 * noise().std())
-    (finding,) = clipping_findings(channel_of(values), 1)
+    (finding,) = clipping_findings(channel_of(values))
     assert "-" not in finding.sentence.split(" of the samples")[0].split("limit")[1]
 
 
@@ -44,16 +44,16 @@ def test_one_side_alone_is_found(channel_of):
 def test_converted_noise_is_not_clipped(channel_of, width, bits):
     values = noise(width=width)
     step = 2.6 * np.abs(values).max() / 2**bits
-    assert clipping_findings(channel_of(step * np.round(values / step)), 1) == []
+    assert clipping_findings(channel_of(step * np.round(values / step))) == []
 
 
 @pytest.mark.parametrize("bits", [7, 10, 14])
 def test_the_crests_of_a_converted_sine_are_not_clipped_but_those_of_a_clipped_one_are(channel_of, bits):
     sine = np.sin(np.linspace(0, 300, 20_000))
     step = 2.2 / 2**bits
-    assert clipping_findings(channel_of(step * np.round(sine / step)), 1) == []
+    assert clipping_findings(channel_of(step * np.round(sine / step))) == []
     cut = np.clip(sine, -0.9, 0.9)
-    assert [f.what for f in clipping_findings(channel_of(step * np.round(cut / step)), 1)] == ["clipped"]
+    assert [f.what for f in clipping_findings(channel_of(step * np.round(cut / step)))] == ["clipped"]
 
 
 @pytest.mark.parametrize(
@@ -72,18 +72,18 @@ def test_the_crests_of_a_converted_sine_are_not_clipped_but_those_of_a_clipped_o
 )
 @pytest.mark.parametrize("role", ["input", "output"])
 def test_signals_that_are_bounded_by_nature_are_not_clipped(channel_of, values, role):
-    assert clipping_findings(channel_of(values, role=role), 1) == []
+    assert clipping_findings(channel_of(values, role=role)) == []
 
 
 def test_the_rest_of_a_hammer_is_no_lower_limit(channel_of):
     force = np.zeros(5000)
     for start in range(100, 5000, 600):
         force[start : start + 9] = np.hanning(11)[1:-1] * (1 + start / 5000)
-    assert clipping_findings(channel_of(force, role="input"), 1) == []
+    assert clipping_findings(channel_of(force, role="input")) == []
 
 
 def test_a_clipped_input_is_only_noted(channel_of):
-    (finding,) = clipping_findings(channel_of(np.clip(noise(width=0), -2, 2), role="input"), 1)
+    (finding,) = clipping_findings(channel_of(np.clip(noise(width=0), -2, 2), role="input"))
     assert finding.level == "note"
 
 
@@ -94,7 +94,7 @@ def test_a_limit_is_one_value_however_it_was_rounded(channel_of, jitter, n_found
     values = noise()
     limit = 1.5 * values.std()
     clipped = np.where(values >= limit, limit * (1.0 + jitter * rng.random(values.size)), values)
-    assert len(clipping_findings(channel_of(clipped), 1)) == n_found
+    assert len(clipping_findings(channel_of(clipped))) == n_found
 
 
 @pytest.mark.parametrize("limits", [(-1.5, 1.5), (-np.inf, 1.0), (-2.0, 1.2)])
@@ -175,7 +175,7 @@ def struck(crest, *, noise=1e-3, seed=0, angle=0.25):
 
 @pytest.mark.parametrize("crest", [0.95, 0.8, 0.7])
 def test_a_crest_that_is_cut_off_once_is_clipped(channel_of, crest):
-    (finding,) = clipping_findings(channel_of(struck(crest)), 1)
+    (finding,) = clipping_findings(channel_of(struck(crest)))
     assert finding.spans[0][1] == pytest.approx(1.05, abs=0.05)
 
 
@@ -183,7 +183,7 @@ def test_a_crest_that_is_cut_off_once_is_clipped(channel_of, crest):
 def test_a_whole_crest_on_a_grid_is_not_clipped(channel_of, step, noise, seed):
     """Its outermost level occurs three or four times here, and the next fifteen once."""
     values = struck(1.0, noise=noise, seed=seed, angle=0.005 * (seed + 1))
-    assert clipping_findings(channel_of(step * np.round(values / step)), 1) == []
+    assert clipping_findings(channel_of(step * np.round(values / step))) == []
 
 
 @pytest.mark.parametrize("step", [1e-9, 0.03, 5e6])
@@ -201,13 +201,13 @@ def test_few_levels_a_standard_deviation_are_doubtful_then_bad(channel_of, level
     """Rounding noise is 1 / (levels sqrt(12)): 3.6, 7.2 and 41 %."""
     values = np.round(levels * np.random.default_rng(0).standard_normal(3000)) / levels
     channel = channel_of(values)
-    found = resolution_findings(channel, resolution_of(channel), 1)
+    found = resolution_findings(channel, resolution_of(channel))
     assert [finding.level for finding in found] == ([] if level is None else [level])
 
 
 def test_the_levels_of_an_input_are_what_they_are(channel_of):
     channel = channel_of(np.random.default_rng(0).choice([-1.0, 1.0], 500), role="input")
-    assert resolution_findings(channel, resolution_of(channel), 1) == []
+    assert resolution_findings(channel, resolution_of(channel)) == []
 
 
 def stuck(channel, others=None):
@@ -284,14 +284,14 @@ def test_an_input_may_rest_at_zero_but_not_freeze_elsewhere(channel_of):
 
 
 def test_a_constant_channel_is_dead_and_a_moving_one_is_not(channel_of):
-    (finding,) = constant_findings(channel_of(np.full(100, 2.5)), 1)
+    (finding,) = constant_findings(channel_of(np.full(100, 2.5)))
     assert finding.level == "bad"
     assert "2.5" in finding.sentence
-    assert constant_findings(channel_of(np.r_[np.full(99, 2.5), 2.6]), 1) == []
+    assert constant_findings(channel_of(np.r_[np.full(99, 2.5), 2.6])) == []
 
 
 def test_repeated_samples_name_their_number(channel_of):
     values = np.random.default_rng(4).standard_normal(1000)
-    (finding,) = repeat_findings(channel_of(np.repeat(values, 3)), 1)
+    (finding,) = repeat_findings(channel_of(np.repeat(values, 3)))
     assert "3 samples" in finding.sentence
-    assert repeat_findings(channel_of(values), 1) == []
+    assert repeat_findings(channel_of(values)) == []

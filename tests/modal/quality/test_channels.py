@@ -61,7 +61,7 @@ def test_hum_is_found_with_its_size(channel_of, size, level):
         slow = scipy.signal.lfilter(*scipy.signal.butter(2, 0.01), white)
         channel = channel_of(slow / slow.std() + hum(size, 49.97, 200_000), dt=DT)
     lines = mains_lines(channel)
-    (finding,) = hum_findings(channel, lines, [], 1)
+    (finding,) = hum_findings(channel, lines, [])
     assert finding.level == level
     assert "50 Hz" in finding.sentence
     assert finding.share == pytest.approx(size / np.sqrt(1 + size**2), rel=0.1)
@@ -70,17 +70,17 @@ def test_hum_is_found_with_its_size(channel_of, size, level):
 def test_a_driven_resonance_at_50_hz_is_no_hum(channel_of):
     for seed in range(20):
         channel = channel_of(resonance(seed=seed), dt=DT)
-        assert hum_findings(channel, mains_lines(channel), [], 1) == []
+        assert hum_findings(channel, mains_lines(channel), []) == []
 
 
 def test_a_line_elsewhere_is_not_of_the_mains(channel_of):
     channel = channel_of(resonance(20.0) + hum(0.3, 43.0), dt=DT)
-    assert hum_findings(channel, mains_lines(channel), [], 1) == []
+    assert hum_findings(channel, mains_lines(channel), []) == []
 
 
 def test_harmonics_are_named_and_60_hz_by_itself(channel_of):
     channel = channel_of(resonance(20.0) + hum(0.1, 60.01) + hum(0.1, 180.03), dt=DT)
-    (finding,) = hum_findings(channel, mains_lines(channel), [], 1)
+    (finding,) = hum_findings(channel, mains_lines(channel), [])
     assert "60 Hz mains (60, 180 Hz)" in finding.sentence
 
 
@@ -89,15 +89,15 @@ def test_a_line_that_the_input_holds_is_its_answer(channel_of):
     quiet = channel_of(np.random.default_rng(2).standard_normal(20_000), dt=DT, role="input")
     channel = channel_of(resonance(20.0) + hum(0.3), dt=DT)
     lines = mains_lines(channel)
-    assert hum_findings(channel, lines, [mains_lines(force)], 1) == []
-    assert len(hum_findings(channel, lines, [mains_lines(quiet)], 1)) == 1
+    assert hum_findings(channel, lines, [mains_lines(force)]) == []
+    assert len(hum_findings(channel, lines, [mains_lines(quiet)])) == 1
 
 
 def test_a_band_below_50_hz_and_a_second_of_data_say_nothing(channel_of):
     slow = channel_of(np.random.default_rng(0).standard_normal(5000), dt=0.02)
     assert mains_lines(slow).frequencies.size == 0
     short = channel_of(hum(1.0, n=900), dt=DT)
-    assert hum_findings(short, mains_lines(short), [], 1) == []
+    assert hum_findings(short, mains_lines(short), []) == []
 
 
 def found(record, what):

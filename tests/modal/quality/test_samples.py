@@ -40,17 +40,17 @@ def test_a_change_of_level_counts_only_while_the_inputs_are_steady(channel_of):
     values = np.random.default_rng(0).standard_normal(5000)
     values[3000:] *= 6.0
     channel = channel_of(values)
-    (finding,) = level_findings(channel, [True], 1)
+    (finding,) = level_findings(channel, [True])
     assert finding.level == "doubtful"
-    assert level_findings(channel, [True, False], 1) == []
-    assert level_findings(channel, [], 1) == []
+    assert level_findings(channel, [True, False]) == []
+    assert level_findings(channel, []) == []
 
 
 @pytest.mark.parametrize("factor", [1.0, 3.0])
 def test_a_level_that_changes_little_is_left_alone(channel_of, factor):
     values = np.random.default_rng(0).standard_normal(5000)
     values[3000:] *= factor
-    assert level_findings(channel_of(values), [True], 1) == []
+    assert level_findings(channel_of(values), [True]) == []
 
 
 def test_white_noise_is_steady_but_no_sweep_staircase_or_burst(channel_of):
@@ -64,7 +64,7 @@ def test_white_noise_is_steady_but_no_sweep_staircase_or_burst(channel_of):
 @pytest.mark.parametrize(("mean", "n_found"), [(-20.0, 1), (5.0, 0)])
 def test_an_offset_is_noted_from_ten_times_the_motion(channel_of, mean, n_found):
     values = mean + np.random.default_rng(0).standard_normal(500)
-    found = offset_findings(channel_of(values), 1)
+    found = offset_findings(channel_of(values))
     assert [finding.level for finding in found] == ["note"] * n_found
 
 
@@ -72,7 +72,7 @@ def test_an_offset_is_noted_from_ten_times_the_motion(channel_of, mean, n_found)
 def test_missing_samples_are_counted(channel_of, share, level):
     values = np.random.default_rng(0).standard_normal(2000)
     values[: round(share * 2000)] = np.nan
-    found = missing_findings(channel_of(values), 1)
+    found = missing_findings(channel_of(values))
     assert [finding.level for finding in found] == ([] if level is None else [level])
     for finding in found:
         assert finding.share == pytest.approx(share)
@@ -92,8 +92,8 @@ def test_a_start_that_dies_out_is_no_change_of_level(channel_of):
     k = np.arange(5000)
     steady = np.random.default_rng(0).standard_normal(5000)
     ringing = 60.0 * np.exp(-k / 700.0) * np.sin(0.7 * k)
-    assert level_findings(channel_of(steady + ringing), [True], 1) == []
-    assert len(level_findings(channel_of(np.where(k < 2500, 8.0, 1.0) * steady), [True], 1)) == 1
+    assert level_findings(channel_of(steady + ringing), [True]) == []
+    assert len(level_findings(channel_of(np.where(k < 2500, 8.0, 1.0) * steady), [True])) == 1
 
 
 def test_a_block_without_a_sample_says_nothing_of_steadiness(channel_of):
@@ -108,14 +108,14 @@ def test_a_block_without_a_sample_says_nothing_of_steadiness(channel_of):
 def test_a_channel_that_is_missing_for_blocks_changed_no_level(channel_of, missing):
     values = np.random.default_rng(0).standard_normal(5000)
     values[missing] = np.nan
-    assert level_findings(channel_of(values), [True], 1) == []
+    assert level_findings(channel_of(values), [True]) == []
     values[3000:] *= 8.0
-    assert len(level_findings(channel_of(values), [True], 1)) == (1 if missing.start == 2000 else 0)
+    assert len(level_findings(channel_of(values), [True])) == (1 if missing.start == 2000 else 0)
 
 
 def spikes(channel, hits=None):
     none = [np.zeros(channel.n_samples, dtype=bool)]
-    return spike_findings(channel, np.nan, none if hits is None else hits, 1)
+    return spike_findings(channel, np.nan, none if hits is None else hits)
 
 
 def motion(n=4000, width=20):

@@ -7,7 +7,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from modal.recording.series import DiskBudget, bucket_length, places, positions, reduced, row_budget, stretches, thinned
+from modal.recording.series import (
+    DiskBudget,
+    bucket_length,
+    places,
+    positions,
+    reduced,
+    row_budget,
+    stored_stretches,
+    thinned,
+)
 
 numbers = st.one_of(st.just(np.nan), st.floats(-1e6, 1e6))
 
@@ -44,7 +53,7 @@ def test_many_series_have_fewer_rows(n_entities, values_each):
 @given(st.integers(1, 10**9), st.integers(1000, 10**6), st.lists(st.integers(0, 10**9), max_size=3))
 def test_stretches_cover_the_record_once_within_the_budget(n_samples, budget, around):
     around = [min(sample, n_samples - 1) for sample in around]
-    kept = stretches(n_samples, budget, around=around)
+    kept = stored_stretches(n_samples, budget, around=around)
     assert kept[0].start == 0
     assert kept[-1].stop == n_samples
     assert all(first.stop == second.start for first, second in itertools.pairwise(kept))
@@ -61,7 +70,7 @@ def test_stretches_cover_the_record_once_within_the_budget(n_samples, budget, ar
 
 def test_detail_is_kept_sample_by_sample_and_the_rest_by_its_extremes():
     values = np.random.default_rng(1).standard_normal(50_000)
-    kept = stretches(values.size, 4000, around=[30_000])
+    kept = stored_stretches(values.size, 4000, around=[30_000])
     stored, where = thinned(values, kept), places(kept)
     assert stored.size == where.size <= 4000
     assert (np.diff(where) > 0).all()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from page_reader import Skeleton
 
-from modal.report.discrepancy_pages import diagnosis_html, diagnosis_markdown, draw_diagnosis
+from modal.report.discrepancy_writing import diagnosis_html, diagnosis_markdown, draw_diagnosis
 from modal.sections.provenance import Provenance
 
 NASTY = (
@@ -180,7 +180,7 @@ def test_pictures_say_which_outputs_and_records_they_show(diagnosis, monkeypatch
     assert "largest gap" not in captions["histories"]
     assert "with the effects (green)" in captions["spectra"]
     assert "drawn as the loop" not in captions["laws"]
-    monkeypatch.setattr("modal.report.discrepancy_pages.GapPageLimits.MOST_OUTPUTS", 1)
+    monkeypatch.setattr("modal.report.discrepancy_writing.GapPageLimits.MOST_OUTPUTS", 1)
     assert "Shown: the output with the largest gap." in draw_diagnosis(diagnosis)["histories"].caption
 
 

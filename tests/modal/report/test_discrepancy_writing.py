@@ -7,7 +7,8 @@ import pytest
 
 import modal.recording
 from modal.report import DiagnosisFiles, ReportFiles, write_report
-from modal.report.discrepancy_writing import DIAGNOSIS_SCHEMA, diagnosis_csv, diagnosis_json, refuse_existing_diagnosis
+from modal.report.discrepancy_writing import DIAGNOSIS_SCHEMA, diagnosis_csv, diagnosis_json
+from modal.report.folder import refuse_names
 from modal.sections.provenance import Provenance
 from modal.structure.structural_model import StructuralModel
 from okid.errors import InvalidDataError
@@ -55,7 +56,7 @@ def test_an_existing_file_is_refused_and_left_alone(diagnosis, tmp_path, quick, 
     with pytest.raises(InvalidDataError, match=name):
         write_report(diagnosis, tmp_path)
     with pytest.raises(InvalidDataError, match=name):
-        refuse_existing_diagnosis(tmp_path, "refuse")
+        refuse_names(tmp_path, NAMES, "refuse")
     assert everything(tmp_path) == [name]
     assert (tmp_path / name).read_text() == "mine"
     write_report(diagnosis, tmp_path, existing="replace")

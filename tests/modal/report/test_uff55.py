@@ -7,7 +7,7 @@ import pytest
 import pyuff
 
 from modal.geometry.sensors import Geometry, Sensor
-from modal.report.uff55 import node_labels, real_shape, uff55_text
+from modal.report.writing import node_labels, real_shape, uff55_text
 from okid.errors import InvalidDataError
 
 

@@ -9,7 +9,8 @@ from modal.comparison.shifts import read_result
 from modal.identification.result import load
 from modal.report import Provenance, write_report
 from modal.report import writing as kept_result
-from modal.report.writing import ReportFiles, keep_result, refuse_existing
+from modal.report.folder import refuse_names
+from modal.report.writing import ReportFiles, keep_result
 from okid.errors import InvalidDataError, UnreadableFileError
 
 
@@ -103,11 +104,11 @@ def test_a_file_in_place_of_the_folder_is_refused(identification, tmp_path, quic
 
 def test_what_cannot_be_written_is_refused_before_any_work(tmp_path, monkeypatch):
     with pytest.raises(InvalidDataError, match="File name too long") as caught:
-        refuse_existing(tmp_path / ("x" * 5000), "refuse")
+        refuse_names(tmp_path / ("x" * 5000), ["report.html"], "refuse")
     assert len(str(caught.value)) < 400
     monkeypatch.setattr("os.access", lambda _path, _mode: False)
     with pytest.raises(InvalidDataError, match="no right to write in"):
-        refuse_existing(tmp_path / "new", "refuse")
+        refuse_names(tmp_path / "new", ["report.html"], "refuse")
 
 
 def test_the_new_folder_has_ordinary_permissions(identification, tmp_path, quick):

@@ -7,7 +7,7 @@ import pytest
 from levels_by_hand import HARDENS, LEVELS, POLE, RESTS, VAGUE, with_levels
 
 from modal.plots.discrepancy import modes_against_level
-from modal.report.discrepancy_pages import draw_diagnosis
+from modal.report.discrepancy_writing import draw_diagnosis
 from modal.sections.discrepancy_stages import (
     gap_density,
     held_out_floor,

@@ -123,7 +123,7 @@ def test_the_animation_spans_the_record(build, tmp_path, read):
     first, last = found.records
     assert times[0] == pytest.approx(first.start_time)
     assert times[-1] == pytest.approx(first.duration + last.duration, rel=0.05)
-    assert times[-1] == pytest.approx(planned(found).stop)
+    assert times[-1] == pytest.approx(planned(found).data.stop)
 
 
 def grid(n):
