@@ -7,7 +7,7 @@ import scipy
 import modal
 import okid
 from modal.modes.mode import ModalModel, Mode
-from modal.verdict.judgement import Rerun, Reruns, judge, probability
+from modal.verdict.judgement import Rerun, Reruns, judge
 from okid.excitation import Excitation
 
 DT = 0.01
@@ -122,10 +122,6 @@ def test_without_reruns_nothing_is_judged():
 
 def test_an_empty_model_stays_empty():
     assert len(judge(model_of(), found_with())) == 0
-
-
-def test_probability_rises():
-    assert 0 < probability(0.0) < probability(0.5) < probability(1.0) < 1
 
 
 # --- reasons ----------------------------------------------------------------------------------------------------------
