@@ -47,7 +47,7 @@ def gap_texts(make_gap):
     found = {}
     for key, names, input_name, where in (
         ("plain", ("lower", "upper"), "force", "element_1"),
-        ("nasty", (NASTY_NAMES[0], NASTY_NAMES[1] + NASTY_NAMES[2]), NASTY_INPUT, NASTY_NAMES[0]),
+        ("nasty", (NASTY_NAMES[0], NASTY_NAMES[1] + NASTY_NAMES[2]), NASTY_INPUT, "=1+1\x1b<script>"),
     ):
         one = make_gap(names=names, input_name=input_name, where=where, warnings=(f"Look at {names[0]}.",))
         one = replace(one, location=SimpleNamespace(sentences=(f"The gap lies in {names[1]}.",)))
