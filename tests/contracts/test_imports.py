@@ -44,7 +44,10 @@ SDK_FILES = {"cli", "types", "output", "exception", "app", "client", "config", "
 
 def imported(tree):
     """(dotted name, names taken from it) of every import that runs, inside functions too; not those for types only."""
-    for node in ast.iter_child_nodes(tree):
+    parts = (
+        part for field in ("body", "orelse", "handlers", "finalbody", "cases") for part in getattr(tree, field, ())
+    )
+    for node in parts:  # an import is a statement: nothing within an expression is looked at
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
             continue
         if isinstance(node, ast.Import):
