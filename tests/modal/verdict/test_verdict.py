@@ -7,6 +7,7 @@ import scipy
 import modal
 import okid
 from modal.modes.mode import ModalModel, Mode
+from modal.verdict.excitation import BetweenLines
 from modal.verdict.judgement import Rerun, Reruns, judge
 from okid.excitation import Excitation
 
@@ -393,6 +394,15 @@ def test_a_mode_where_no_input_moves_is_not_certain(bands, verdict):
     assert mode.verdict == verdict
     assert ("no input moves at 5 Hz" in mode.reason) == (verdict == "doubtful")
     assert (mode.probability <= 0.55) == (verdict == "doubtful")
+
+
+@pytest.mark.parametrize(("gain", "verdict"), [(0.0, "doubtful"), (np.nan, "doubtful"), (0.6, "system")])
+def test_a_mode_that_only_the_lines_of_the_inputs_show_is_not_certain(gain, verdict):
+    """It repeats perfectly, as every fit to the same tones does."""
+    lines = BetweenLines(lines=np.array([4.0]), gain=np.array([gain]), n_values=np.array([300]))
+    mode = judged(vibration(5.0), found_with(), lines=lines)
+    assert mode.verdict == verdict
+    assert ("the inputs are one line (4 Hz), and beside" in mode.reason) == (verdict == "doubtful")
 
 
 @pytest.mark.parametrize(("ringing", "verdict"), [(-1.0, "doubtful"), (4.0, "doubtful"), (6.0, "system")])
