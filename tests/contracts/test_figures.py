@@ -159,18 +159,3 @@ def test_each_stage_of_a_whole_run_has_its_functions(repository):
     folder = str(repository / "tests" / "benchmarks")
     done = subprocess.run([sys.executable, "-c", code, folder], capture_output=True, text=True, check=False)
     assert done.stdout.strip() == "[]", done.stdout + done.stderr
-
-
-@pytest.mark.benchmark
-def test_a_whole_run_is_measured_by_stage(repository):
-    script = repository / "tests" / "benchmarks" / "whole_run_benchmark.py"
-    done = subprocess.run(
-        [sys.executable, str(script), "--sizes", "1200x2"], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    assert not done.stderr, done.stderr
-    head, _, cells = ([cell.strip() for cell in line.split("|")] for line in done.stdout.splitlines()[-3:])
-    run = dict(zip(head, cells, strict=True))
-    assert 95 <= sum(float(value) for name, value in run.items() if name.endswith("%")) <= 105
-    assert float(run["identify"]) < float(run["run, CPU s"])
-    assert float(run["peak MiB"]) > 50

@@ -44,7 +44,10 @@ SDK_FILES = {"cli", "types", "output", "exception", "app", "client", "config", "
 
 def imported(tree):
     """(dotted name, names taken from it) of every import that runs, inside functions too; not those for types only."""
-    for node in ast.iter_child_nodes(tree):
+    parts = (
+        part for field in ("body", "orelse", "handlers", "finalbody", "cases") for part in getattr(tree, field, ())
+    )
+    for node in parts:  # an import is a statement: nothing within an expression is looked at
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
             continue
         if isinstance(node, ast.Import):
@@ -54,32 +57,28 @@ def imported(tree):
         yield from imported(node)
 
 
+@pytest.fixture(scope="module")
+def every_import(sources):
+    """(file, dotted name, names taken from it) of all."""
+    return [(file, name, names) for file, tree in sources.items() for name, names in imported(tree)]
+
+
 def python(code, *, cwd):
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=cwd, check=False)
     assert result.returncode == 0, result.stderr
     return result.stdout
 
 
-def test_lower_packages_never_import_higher_ones(sources):
+def test_lower_packages_never_import_higher_ones(every_import):
     above = {"okid": {"era", "modal"}, "era": {"modal"}, "modal": set()}
-    wrong = [
-        (file, name)
-        for file, tree in sources.items()
-        for name, _ in imported(tree)
-        if name.split(".")[0] in above[file.split("/")[0]]
-    ]
-    assert not wrong
+    assert not [(file, name) for file, name, _ in every_import if name.split(".")[0] in above[file.split("/")[0]]]
 
 
-def test_nothing_of_ours_takes_a_name_from_the_modal_root(sources):
+def test_nothing_of_ours_takes_a_name_from_the_modal_root(sources, every_import):
     """Another distribution may own `modal/__init__.py`; only modules below it are safe."""
     modules = {file.split("/")[1].removesuffix(".py") for file in sources if file.startswith("modal/")}
     wrong = [
-        (file, name)
-        for file, tree in sources.items()
-        for root, names in imported(tree)
-        for name in names
-        if root == "modal" and name not in modules
+        (file, name) for file, root, names in every_import for name in names if root == "modal" and name not in modules
     ]
     assert not wrong
 
@@ -90,29 +89,30 @@ def test_file_names_avoid_those_of_the_unrelated_sdk(sources):
 
 
 @pytest.mark.parametrize("library", sorted(BEHIND))
-def test_a_foreign_library_stays_behind_its_package(library, sources):
+def test_a_foreign_library_stays_behind_its_package(library, every_import):
     wrong = [
-        file
-        for file, tree in sources.items()
-        for name, _ in imported(tree)
-        if name.split(".")[0] == library and not file.startswith(BEHIND[library])
+        file for file, name, _ in every_import if name.split(".")[0] == library and not file.startswith(BEHIND[library])
     ]
     assert not wrong
 
 
-@pytest.mark.parametrize("package", ["okid", "era", "modal"])
-def test_a_package_imports_alone(package, repository):
-    """In a fresh interpreter, with the packages above it not to be had."""
-    above = {"okid": ["era", "modal"], "era": ["modal"], "modal": []}[package]
-    block = "".join(f"sys.modules[{name!r}] = None; " for name in above)
-    assert python(f"import sys; {block}import {package}; print('done')", cwd=repository) == "done\n"
+ALONE = """
+import sys, json, warnings, numpy as np
+settings = lambda: (list(warnings.filters), np.geterr(), np.get_printoptions())
+for name in {above}:
+    sys.modules[name] = None
+before = settings()
+import {package}
+assert settings() == before
+print(json.dumps([name for name, module in sys.modules.items() if module]))
+"""
 
 
-@pytest.mark.parametrize("package", ["okid", "era", "modal"])
-def test_importing_leaves_heavy_libraries_out(package, repository):
-    loaded = json.loads(python(f"import sys, json, {package}; print(json.dumps(list(sys.modules)))", cwd=repository))
-    roots = {name.split(".")[0] for name in loaded}
-    assert not roots & set(HEAVY)
+@pytest.mark.parametrize(("package", "above"), [("okid", ["era", "modal"]), ("era", ["modal"]), ("modal", [])])
+def test_a_package_imports_alone_and_quietly_and_leaves_heavy_libraries_out(package, above, repository):
+    """In a fresh interpreter, with the packages above it not to be had; nothing is printed, no setting changed."""
+    loaded = json.loads(python(ALONE.format(above=above, package=package), cwd=repository))
+    assert not {name.split(".")[0] for name in loaded} & set(HEAVY)
     assert not [name for name in loaded if name.startswith(("scipy.signal", "scipy.optimize", "scipy.stats"))]
 
 
@@ -140,19 +140,13 @@ print(json.dumps(list(sys.modules)))
 """
 
 
-@pytest.mark.parametrize("code", [DEMO, MOTOR], ids=["identify", "diagnose"])
-def test_neither_road_loads_the_slow_parts_of_scipy(code, repository):
+@pytest.mark.parametrize(("code", "unused"), [(DEMO, ("discrepancy", "report", "plots", "recording")), (MOTOR, ())])
+def test_neither_road_loads_the_slow_parts_of_scipy_and_each_pays_for_the_parts_it_uses(code, unused, repository):
     """They cost more than a short identification, for one quantile, one filter or one spline."""
     loaded = json.loads(python(code, cwd=repository))
     assert "scipy.linalg" in loaded
-    assert not [name for name in loaded if name.startswith(("scipy.signal", "scipy.stats", "scipy.interpolate"))]
-
-
-def test_a_script_pays_for_the_parts_it_uses(repository):
-    """`identify` needs none of diagnosis, report, pictures, recording."""
-    loaded = json.loads(python(DEMO, cwd=repository))
-    parts = ("modal.discrepancy", "modal.report", "modal.plots", "modal.recording")
-    assert not [name for name in loaded if name.startswith(parts)]
+    slow = ("scipy.signal", "scipy.stats", "scipy.interpolate", *(f"modal.{part}" for part in unused))
+    assert not [name for name in loaded if name.startswith(slow)]
 
 
 def test_the_public_table_is_whole():
@@ -174,12 +168,3 @@ def test_okid_costs_little_more_than_numpy(repository):
     more = loaded("okid") - loaded("numpy, scipy")
     assert {name.split(".")[0] for name in more} <= {"okid", "numpy"}  # numpy.random and its kin load late
     assert len(loaded("numpy, scipy") - loaded("numpy")) < 60
-
-
-def test_importing_prints_nothing_and_changes_no_setting(repository):
-    code = (
-        "import warnings, numpy as np; before = (list(warnings.filters), np.geterr(), np.get_printoptions());"
-        "import okid, era, modal;"
-        "assert before == (list(warnings.filters), np.geterr(), np.get_printoptions())"
-    )
-    assert python(code, cwd=repository) == ""

@@ -141,9 +141,15 @@ def test_texts_and_times_are_no_numbers(values):
             check(values, name="outputs")
 
 
-@pytest.mark.parametrize("dt", [1e-320, 1e-13, 1e10, "0.01", True, np.timedelta64(5, "s"), np.array([0.1]), None])
+@pytest.mark.parametrize("dt", [1e-320, 1e-13, 1e10, np.timedelta64(5, "s"), np.array([0.1])])
 def test_absurd_time_steps_are_refused(dt):
     with pytest.raises(InvalidDataError, match="dt must be a"):
+        time_step(dt)
+
+
+@pytest.mark.parametrize("dt", [0, -0.1, np.nan, np.inf, None, "0.01", [0.01], True, 10**400])
+def test_what_is_no_time_step(dt):
+    with pytest.raises(InvalidDataError, match=r"^dt must be a positive time step in seconds, but is "):
         time_step(dt)
 
 
@@ -167,12 +173,6 @@ def test_a_count_beyond_the_digits_of_a_float_stays_exact():
 def test_the_other_choice_is_named():
     with pytest.raises(InvalidDataError, match='of at least 0 or "auto", but is -1'):
         whole_number(-1, name="order", least=0, otherwise='or "auto"')
-
-
-@pytest.mark.parametrize("value", [0, -0.1, np.nan, np.inf, None, "0.01", [0.01], True, 10**400])
-def test_what_is_no_time_step(value):
-    with pytest.raises(InvalidDataError, match=r"^dt must be a positive time step in seconds, but is "):
-        time_step(value)
 
 
 def test_a_number_is_a_float():

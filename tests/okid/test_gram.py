@@ -54,27 +54,25 @@ def assert_gram_is_naive(records, order, masks=None):
 
 
 @pytest.mark.parametrize(
-    ("sizes", "n_inputs", "n_outputs", "order", "missing"),
+    ("sizes", "n_inputs", "n_outputs", "order", "missing", "missing_inputs"),
     [
-        ([400], 2, 3, 7, 0),
-        ([400], 1, 1, 1, 0),
-        ([300, 200, 9, 3], 2, 2, 6, 0),  # one record shorter than the order
-        ([600, 300], 2, 2, 5, 12),
-        ([300], 0, 2, 4, 3),
-        ([900], 3, 5, 40, 4),
+        ([400], 2, 3, 7, 0, 0),
+        ([400], 1, 1, 1, 0, 0),
+        ([500], 2, 2, 8, 3, 3),
+        ([300, 200, 9, 3], 2, 2, 6, 0, 0),  # one record shorter than the order
+        ([600, 300], 2, 2, 5, 12, 0),
+        ([300], 0, 2, 4, 3, 0),
+        ([900], 3, 5, 40, 4, 0),
     ],
 )
-def test_equals_regressors_written_out(sizes, n_inputs, n_outputs, order, missing):
+def test_equals_regressors_written_out(sizes, n_inputs, n_outputs, order, *, missing, missing_inputs):
     rng = np.random.default_rng(len(sizes) * 100 + order)
-    records = [make(rng, n, n_inputs, n_outputs, missing=missing if n > 50 else 0) for n in sizes]
+    lost = {"missing": missing, "missing_inputs": missing_inputs}
+    records = [make(rng, n, n_inputs, n_outputs, **(lost if n > 50 else {})) for n in sizes]
     assert_gram_is_naive(records, order)
     assert_gram_is_naive(records, order, [rng.random(n) < 0.7 for n in sizes])
     blocks = [np.repeat(rng.random(-(-n // 50)) < 0.5, 50)[:n] for n in sizes]
     assert_gram_is_naive(records, order, blocks)
-
-
-def test_missing_inputs_take_only_the_rows_they_touch():
-    assert_gram_is_naive([make(np.random.default_rng(4), 500, 2, 2, missing=3, missing_inputs=3)], 8)
 
 
 def test_hundreds_of_short_runs_are_folded_in_several_batches(monkeypatch):

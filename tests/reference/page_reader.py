@@ -2,6 +2,13 @@
 
 from html.parser import HTMLParser
 
+NASTY_NAMES = (
+    '<script>alert("1")</script>',
+    '=HYPERLINK("http://x.y") ](javascript:1) `|* ' + "very long " * 60,
+    "\N{RIGHT-TO-LEFT OVERRIDE}קומה\x1b[2J\x00 $\\frac{",
+)
+"""Names of channels as bad as names get."""
+NASTY_INPUT = "--><img src=x onerror=alert(1)>"
 VOID = {"meta", "br", "img", "input", "link", "hr"}
 
 

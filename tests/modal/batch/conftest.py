@@ -17,10 +17,13 @@ def write_run(path, seed, *, dt=0.02, header="time,force,a,b", frequency=3.0):
     np.savetxt(path, np.column_stack([time, force, outputs]), delimiter=",", header=header, comments="", fmt="%.10g")
 
 
-@pytest.fixture
-def runs(tmp_path):
-    folder = tmp_path / "runs"
+def write_runs(folder):
     folder.mkdir()
     for seed in range(4):
         write_run(folder / f"run_{seed}.csv", seed)
     return folder
+
+
+@pytest.fixture
+def runs(tmp_path):
+    return write_runs(tmp_path / "runs")

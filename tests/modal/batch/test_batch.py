@@ -24,7 +24,7 @@ from modal.command.main import status as _status
 from okid import gram
 from okid.errors import InvalidDataError, UnreadableFileError
 
-from .conftest import QUICK, write_run
+from .conftest import QUICK, write_run, write_runs
 
 COMMAND = "from modal.command.entry import main\nif __name__ == '__main__':\n    main()\n"
 CRASH = """
@@ -70,9 +70,11 @@ def command(tmp_path, *arguments, sitecustomize=""):
     )
 
 
-@pytest.fixture
-def sequential(runs, tmp_path):
-    return modal.identify_batch(runs, tmp_path / "sequential", **QUICK)
+@pytest.fixture(scope="module")
+def sequential(tmp_path_factory):
+    """The batch of the four runs, made once; nobody writes to it."""
+    folder = tmp_path_factory.mktemp("sequential")
+    return modal.identify_batch(write_runs(folder / "runs"), folder / "out", **QUICK)
 
 
 def test_tables_hold_every_mode_of_every_record(sequential):
@@ -104,7 +106,8 @@ def test_executors_leave_the_same_bytes(runs, sequential, tmp_path):
     assert len(kept(sequential.folder)) == 2 * 4 + 2
 
 
-def test_a_second_call_works_on_nothing_and_a_changed_file_anew(runs, sequential):
+def test_a_second_call_works_on_nothing_and_a_changed_file_anew(runs, tmp_path):
+    sequential = modal.identify_batch(runs, tmp_path / "out", **QUICK)
     stamps = {path: path.stat().st_mtime_ns for path in sequential.folder.rglob("result.npz")}
     before = sequential.modes
     again = modal.identify_batch(runs, sequential.folder, **QUICK)

@@ -28,7 +28,7 @@ from modal.wording.text import hertz
 
 def printed(show, *arguments, **options):
     file = io.StringIO()
-    show(Console(file=file, width=100, force_terminal=False, color_system=None), *arguments, **options)
+    show(Console(file=file, width=110, force_terminal=False, color_system=None), *arguments, **options)
     return file.getvalue()
 
 
@@ -82,20 +82,23 @@ def test_one_pole_is_one_pole(make_result, identification):
 
 
 @pytest.mark.parametrize("warnings", [(), ("Mind the gap.",)])
-def test_warnings_are_printed_when_there_are_any(make_result, warnings):
-    text = printed(show_result, make_result(warnings=warnings))
+@pytest.mark.parametrize("kind", ["identification", "diagnosis"])
+def test_warnings_and_remarks_are_printed_when_there_are_any(request, kind, warnings):
+    show = show_result if kind == "identification" else show_diagnosis
+    text = printed(show, replace(request.getfixturevalue(kind), warnings=warnings), remarks=("tip: g -> m/s^2",))
     assert ("Mind the gap." in text) == ("Warnings" in text) == bool(warnings)
+    assert "tip: g -> m/s^2" in text
 
 
-def test_remarks_of_the_reader_are_printed(identification):
-    assert "tip: g -> m/s^2" in printed(show_result, identification, remarks=("tip: g -> m/s^2",))
-
-
-def test_names_are_not_obeyed_by_the_terminal(make_result):
+def test_names_are_not_obeyed_by_the_terminal(make_result, make_gap):
     name = "\x1b[2J[bold red]x[/bold red][link=http://a.b]"
-    text = printed(show_result, make_result(names=(name, "b", "c"), warnings=(f"{name} is odd.",)))
-    assert "\x1b" not in text
-    assert "[bold red]x[/bold red][link=http://a.b] is odd." in text
+    result = make_result(names=(name, "b", "c"), warnings=(f"{name} is odd.",))
+    for text, end in (
+        (printed(show_result, result), " is odd."),
+        (printed(show_diagnosis, make_gap(names=(name, "b"), where=name, n_effects=1)), ""),
+    ):
+        assert "\x1b" not in text
+        assert "[bold red]x[/bold red][link=http://a.b]" + end in text.replace("\n", "")
 
 
 def test_comparison_shows_true_beside_found_and_what_is_missing():
@@ -120,26 +123,14 @@ def test_comparison_shows_true_beside_found_and_what_is_missing():
         assert words in text
 
 
-def test_paths_stay_on_one_line(tmp_path):
-    folder = tmp_path / ("long" * 40)
-    text = printed(show_files, ReportFiles.in_folder(folder))
-    assert str(folder / "report.html") in text
-
-
 def test_less_than_a_minute_is_no_minute_at_least(capsys):
     for seconds, time in (((18.0, 350.0), "up to 6"), ((100.0, 350.0), "2 to 6"), ((350.0, 360.0), "6")):
         say_beforehand(9000, 3, seconds, 2.0**30)
         assert f"expect {time} min of one processor" in capsys.readouterr().err
 
 
-def said(show, *arguments, **options):
-    file = io.StringIO()
-    show(Console(file=file, width=110, force_terminal=False, color_system=None), *arguments, **options)
-    return file.getvalue()
-
-
 def test_the_verdict_comes_first_then_values_with_their_deviations(diagnosis):
-    text = said(show_diagnosis, diagnosis)
+    text = printed(show_diagnosis, diagnosis)
     assert text.split("\n")[1] == "The simulation lacks cubic stiffness and Coulomb friction at the link lower-upper."
     assert "\ncubic stiffness at the link lower-upper\nk3  (2.013 ± 0.019)e5  N/m^3  95 %: (1.976 to 2.050)e5" in text
     assert "0.05960 ± 0.00060" in text
@@ -148,7 +139,7 @@ def test_the_verdict_comes_first_then_values_with_their_deviations(diagnosis):
 
 
 def test_the_gap_stands_before_and_after(diagnosis):
-    lines = said(show_diagnosis, diagnosis).splitlines()
+    lines = printed(show_diagnosis, diagnosis).splitlines()
     (heading,) = (line for line in lines if "as given" in line and "calibrated" in line and "by" in line)
     assert heading.rstrip().endswith("with the effects")
     (row,) = (line for line in lines if line.startswith("output  upper"))
@@ -166,31 +157,18 @@ def test_the_gap_stands_before_and_after(diagnosis):
     ],
 )
 def test_each_status_prints_its_parts(diagnosis_of, status, n_effects, there, missing):
-    text = said(show_diagnosis, diagnosis_of(status, n_effects))
+    text = printed(show_diagnosis, diagnosis_of(status, n_effects))
     assert all(words in text for words in there)
     assert not any(words in text for words in missing)
 
 
-@pytest.mark.parametrize("warnings", [(), ("One level only.",)])
-def test_warnings_and_remarks_are_printed_when_there_are_any(diagnosis, warnings):
-    text = said(show_diagnosis, replace(diagnosis, warnings=warnings), remarks=("tip: g -> m/s^2",))
-    assert ("One level only." in text) == ("Warnings" in text) == bool(warnings)
-    assert "tip: g -> m/s^2" in text
-
-
-def test_names_in_a_diagnosis_are_not_obeyed_by_the_terminal(make_gap):
-    name = "\x1b[2J[bold red]x[/bold red]"
-    text = said(show_diagnosis, make_gap(names=(name, "b"), where=name, n_effects=1))
-    assert "\x1b" not in text
-    assert "[bold red]x[/bold red]" in text
-
-
 def test_paths_stay_on_one_line_and_a_missing_model_is_not_named(tmp_path):
     folder = tmp_path / ("long" * 40)
-    text = said(show_diagnosis_files, DiagnosisFiles.in_folder(folder))
-    assert str(folder / "report.html") in text
+    text = printed(show_diagnosis_files, DiagnosisFiles.in_folder(folder))
+    for one in (text, printed(show_files, ReportFiles.in_folder(folder))):
+        assert str(folder / "report.html") in one
     assert "model.json" in text
-    assert "model" not in said(show_diagnosis_files, DiagnosisFiles.in_folder(tmp_path / "x", model=None)).replace(
+    assert "model" not in printed(show_diagnosis_files, DiagnosisFiles.in_folder(tmp_path / "x", model=None)).replace(
         str(tmp_path), ""
     )
 

@@ -21,11 +21,21 @@ def cubic_and_drag(d, v, t):
 
 
 @pytest.fixture(scope="module")
-def named():
-    fit, held_out, variance = experiment(cubic)
+def records():
+    return experiment(cubic, n_samples=400)
+
+
+@pytest.fixture(scope="module")
+def named(records):
+    fit, held_out, variance = records
     said = []
     found = diagnose(nominal(), fit, held_out, progress=lambda what, share: said.append((what, share)))
     return found, variance, said
+
+
+@pytest.fixture(scope="module")
+def whole(named):
+    return named[0]
 
 
 def test_a_cubic_spring_is_named(named):
@@ -74,10 +84,9 @@ def test_the_steps_lead_from_the_model_as_given_to_the_end(named):
     assert len(said) >= 4
 
 
-def test_it_is_deterministic(named):
+def test_it_is_deterministic(records, named):
     found, _, _ = named
-    fit, held_out, _ = experiment(cubic)
-    again = diagnose(nominal(), fit, held_out)
+    again = diagnose(nominal(), *records[:2])
     assert again.status == found.status
     for name in ("findings", "hypotheses", "detection_limits", "calibrated", "advice", "warnings"):
         ours, theirs = ([told(item) for item in getattr(one, name)] for one in (again, found))
@@ -200,16 +209,6 @@ def test_the_gain_of_the_input_and_of_the_driven_sensor_are_told_apart_in_a_stat
     assert found.status == "named"
     assert found.findings[0].parameters[0].value == pytest.approx(0.8, abs=0.01)
     assert any("mass" in other for other in found.findings[0].ambiguous_with) == (effect == "sensor_gain")
-
-
-@pytest.fixture(scope="module")
-def records():
-    return experiment(cubic, n_samples=400)
-
-
-@pytest.fixture(scope="module")
-def whole(records):
-    return diagnose(nominal(), records[0], records[1])
 
 
 def floors(records, whole):

@@ -99,6 +99,7 @@ def test_weak_modes_far_above_the_noise_beside_them_are_found(drowned, monkeypat
     result = pipeline.identify(record)
     assert found_of(result, frequencies) == list(frequencies)
     assert len(result.modes.system) == 3
+    assert result.fitted_model.order <= 12  # six of the modes, as many again of the noise at most
     assert [choice.what for choice in result.choices].count("noise filter") == 1
     assert result.records[0].n_samples == record.n_samples
     for mode in result.modes.system:
@@ -221,11 +222,6 @@ def test_what_is_no_noise_of_sensors_is_not_filtered(make, monkeypatch):
     assert "noise filter" in [choice.what for choice in filtered_one.choices]
     n_lost = with_interval(result) - with_interval(filtered_one)
     assert n_lost > 0 or filtered_one.fit.mean < result.fit.mean - 0.001
-
-
-def test_few_modes_are_added_where_few_are_missing(drowned):
-    result = pipeline.identify(drowned[1])
-    assert result.fitted_model.order <= 12  # six of the modes, as many again of the noise at most
 
 
 def test_nothing_is_added_where_nothing_answers_any_more():

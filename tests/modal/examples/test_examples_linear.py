@@ -212,10 +212,9 @@ def test_a_year_of_a_bridge_finds_its_damage_within_days(tmp_path, capsys):
     assert year_of_a_bridge.main(["-o", str(tmp_path / "out")]) == 0
     (tmp_path / "out" / "tracks.html").stat()
     assert f"since day {year_of_a_bridge.DAMAGE_DAY}" in capsys.readouterr().out
-    for seed in (1, 2):
-        (alarm,) = year_of_a_bridge.study(np.random.default_rng(seed)).alarms
-        start = year_of_a_bridge.DAMAGE_DAY * year_of_a_bridge.DAY
-        assert 0 <= alarm.since - start <= alarm.time - start <= 4 * year_of_a_bridge.DAY
+    (alarm,) = year_of_a_bridge.study(np.random.default_rng(1)).alarms
+    start = year_of_a_bridge.DAMAGE_DAY * year_of_a_bridge.DAY
+    assert 0 <= alarm.since - start <= alarm.time - start <= 4 * year_of_a_bridge.DAY
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 import pytest
 from signals import random_inputs, with_noise
-from systems import initial_state, modal_system, random_system, simulate
+from systems import initial_state, modal_system, simulate
 
 from modal.identification.pipeline import identify
 from modal.identification.result import Identification
@@ -289,64 +289,3 @@ def test_what_the_data_cannot_carry_is_told(small):
 def test_a_misspelt_option_is_refused(small):
     with pytest.raises(TypeError, match="obsever_order"):
         identify(small[1], obsever_order=20)
-
-
-# --- many systems ----------------------------------------------------------------------------------------------------
-
-
-VISIBLE = 0.25
-"""Size of a mode's own response over the noise, in the output that shows it best, from which it must be found."""
-
-
-def above_noise(system, inputs, noise_sizes):
-    """(n_modes,) largest ratio, over outputs, of what a mode does to the noise: its recursion alone, from rest."""
-    states, state = [], np.zeros(len(system.poles), dtype=complex)
-    for u in inputs:
-        states.append(state)
-        state = system.discrete_poles * state + system.participation.T @ u
-    return np.array(
-        [
-            (2 * (part[:, np.newaxis] * shape).real.std(axis=0) / noise_sizes).max()
-            for part, shape in zip(np.array(states).T, system.shapes.T, strict=True)
-        ]
-    )
-
-
-def tally(seeds):
-    """Visible modes, found ones, false ones (MEASURES), and the largest spectral radius over random systems."""
-    n_modes = n_found = n_false = 0
-    largest = 0.0
-    for seed in seeds:
-        rng = np.random.default_rng([77, seed])
-        system = random_system(
-            rng, n_modes=int(rng.integers(2, 6)), n_inputs=int(rng.integers(1, 3)), n_outputs=int(rng.integers(1, 5))
-        )
-        kind = ("white", "coloured")[seed % 2]
-        inputs = random_inputs(rng, int(rng.integers(2000, 4000)), system.n_inputs, kind=kind)
-        outputs = simulate(system, inputs, initial_state=initial_state(rng, system, inputs))
-        noise = float(rng.choice([0.01, 0.03, 0.1]))
-        result = identify(Record(inputs, with_noise(rng, outputs, noise), system.dt))
-        accepted = [mode for mode in result.modes if mode.verdict != "noise"]
-        visible = above_noise(system, inputs, noise * outputs.std(axis=0)) >= VISIBLE
-        for frequency, damping in zip(system.frequencies[visible], system.damping_ratios[visible], strict=True):
-            tolerance = max(0.005, damping)
-            nearest = min(accepted, key=lambda mode: abs(mode.frequency - frequency), default=None)
-            if nearest is not None and abs(nearest.frequency / frequency - 1) < tolerance:
-                accepted.remove(nearest)
-                n_found += 1
-        n_modes += int(visible.sum())
-        n_false += sum(
-            np.abs(system.frequencies / mode.frequency - 1).min() > 0.05
-            for mode in result.modes.system
-            if mode.kind == "oscillatory"
-        )
-        largest = max(largest, spectral_radius(result))
-    return n_modes, n_found, n_false, largest
-
-
-@pytest.mark.slow
-def test_twenty_random_systems():
-    n_modes, n_found, n_false, largest = tally(range(20, 40))
-    assert n_found >= 0.97 * n_modes, (n_found, n_modes)
-    assert n_false == 0
-    assert largest < 1.0

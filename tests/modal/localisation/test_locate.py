@@ -1,6 +1,5 @@
 """Every sentence from its rule, with data on both sides of it."""
 
-import time
 from functools import cache
 
 import numpy as np
@@ -314,18 +313,3 @@ def test_structures_in_words(law, said, unsaid):
 
 def test_the_true_model_agrees():
     assert location_of(no_force).agrees
-
-
-@pytest.mark.benchmark
-def test_it_takes_a_tenth_of_a_second():
-    rng = np.random.default_rng(0)
-    runs = [coloured(rng, 3) for _ in range(3)]
-    records = [
-        [Record(run[:, 0], run + extra * rng.standard_normal(run.shape), DT) for run in runs] for extra in (0.1, 0.0)
-    ]
-    best = np.inf
-    for _ in range(5):
-        start = time.process_time()
-        locate(measure_gap(*records, 1e-4), lines=measure_lines(records[0]))
-        best = min(best, time.process_time() - start)
-    assert best < 0.1

@@ -80,14 +80,6 @@ def test_residues_add_up_to_the_pulse_response():
         np.testing.assert_allclose(total, h[k], atol=1e-9 * abs(h).max())
 
 
-def test_shapes_have_their_largest_component_one():
-    truth = random_system(np.random.default_rng(4), n_outputs=5)
-    for mode in extract_modes(Realisation(truth.A, truth.B, truth.C, truth.D, truth.dt)):
-        assert np.abs(mode.shape).max() == pytest.approx(1)
-        assert mode.shape[np.abs(mode.shape).argmax()] == pytest.approx(1)
-        assert not mode.shape.flags.writeable
-
-
 @pytest.mark.parametrize(
     ("pole", "kind", "verdict"),
     [

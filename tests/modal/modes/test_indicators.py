@@ -76,14 +76,6 @@ def test_modes_that_have_not_died_out_are_compared_at_the_last_block_by_default_
     assert died > 2
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_exact_data_give_one(seed):
-    truth = random_system(np.random.default_rng(seed), n_modes=4, n_outputs=2)
-    for mode in extract_modes(realisation_from(textbook_era(markov(truth, 80), 40, 40, truth.order))):
-        for name in ("amplitude_coherence", "emac_output", "emac_input", "emac"):
-            assert getattr(mode, name) == pytest.approx(1, abs=1e-8)
-
-
 def test_a_mode_that_has_died_out_is_compared_where_it_still_moves():
     truth = modal_system(np.random.default_rng(8), frequencies=[8, 21], damping_ratios=[0.3, 0.01])
     h = markov(truth, 160)

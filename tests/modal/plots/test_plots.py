@@ -4,13 +4,15 @@ from importlib import resources
 
 import numpy as np
 import pytest
+from diagnosis_by_hand import hysteresis_law
 
 from modal import plots
 from modal.identification.result import OrderEvidence
 from modal.modes.response_synthesis import measured_frf
+from modal.plots import discrepancy
 from modal.plots.order import OVERLAP_CLASSES, REPEATABILITY_CLASSES
 from modal.plots.panels import COLOURS, envelope
-from modal.sections.discrepancy_stages import power_spectra
+from modal.sections.discrepancy_stages import power_spectra, rows_of, stages_of
 from okid.record import Record
 
 
@@ -32,15 +34,27 @@ def all_figures(result):
     }
 
 
-@pytest.fixture(scope="module")
-def vector_texts(request):
-    result = request.getfixturevalue("shared_result")
-    return {name: plots.svg_text(figure, name=name, description=name) for name, figure in all_figures(result).items()}
+def all_of_a_diagnosis(found):
+    stages = stages_of(found)
+    return {
+        "gap histories": discrepancy.gap_histories(stages),
+        "gap spectra": discrepancy.gap_spectra(stages),
+        "before and after": discrepancy.before_and_after(rows_of(stages), stages),
+        "hypotheses": discrepancy.hypothesis_bars(found.hypotheses, chosen=found.hypotheses[0]),
+        "steps": discrepancy.shrinking_gap(found.steps),
+        "laws": discrepancy.draw_laws((*found.laws, hysteresis_law(found.laws[0].where))),
+    }
+
+
+def written(figures, description=None):
+    return {
+        name: plots.svg_text(figure, name=name, description=description or name) for name, figure in figures.items()
+    }
 
 
 @pytest.fixture(scope="module")
-def shared_result(make_result):
-    return make_result()
+def vector_texts(make_result, diagnosis):
+    return written({**all_figures(make_result()), **all_of_a_diagnosis(diagnosis)})
 
 
 def test_every_colour_of_a_picture_belongs_to_the_page(vector_texts):
@@ -83,25 +97,18 @@ def test_every_colour_has_the_name_by_which_the_page_exchanges_it(vector_texts):
             assert f"--{role}: {colour}" in page
 
 
+TAGS = {"svg", "g", "path", "defs", "style", "text", "tspan", "use", "clipPath", "rect"}
+
+
 @pytest.mark.parametrize(
     "name", ["<script>alert(1)</script>", "a $\\frac{", "x" * 500, "قناة 加速度", "-->", '" onload="x']
 )
-def test_names_are_only_text_in_a_picture(identification, name):
-    figure = plots.mode_shapes(identification.modes.system, output_names=(name, "b", "c"))
-    text = plots.svg_text(figure, name="shapes", description=name)
-    assert set(re.findall(r"<([a-zA-Z]+)", text)) <= {
-        "svg",
-        "g",
-        "path",
-        "defs",
-        "style",
-        "text",
-        "tspan",
-        "use",
-        "clipPath",
-        "rect",
-    }
-    assert not re.search(r"<[^>]*\sonload=", re.sub(r'"[^"]*"', '""', text))
+def test_names_are_only_text_in_a_picture(identification, make_gap, name):
+    shapes = plots.mode_shapes(identification.modes.system, output_names=(name, "b", "c"))
+    figures = {"shapes": shapes, **all_of_a_diagnosis(make_gap(names=(name, "b"), where=name, n_effects=1))}
+    for text in written(figures, description=name).values():
+        assert set(re.findall(r"<([a-zA-Z]+)", text)) <= TAGS
+        assert not re.search(r"<[^>]*\sonload=", re.sub(r'"[^"]*"', '""', text))
 
 
 def test_envelope_keeps_the_peaks_of_a_long_record():

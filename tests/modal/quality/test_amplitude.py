@@ -231,22 +231,11 @@ def test_a_frozen_stretch_is_found_where_it_is(channel_of, smooth):
     assert finding.share == pytest.approx(100 / 3000)
 
 
-def test_the_same_channel_without_the_fault_is_clean(channel_of):
+@pytest.mark.parametrize(("n_equal", "levels"), [(1, []), (9, []), (11, ["doubtful"]), (31, ["bad"])])
+def test_ten_equal_samples_are_doubtful_and_a_hundredth_of_the_record_is_bad(channel_of, n_equal, levels):
     values = np.random.default_rng(1).standard_normal(3000)
-    assert stuck(channel_of(values)) == []
-
-
-def test_less_than_a_hundredth_is_doubtful(channel_of):
-    values = np.random.default_rng(1).standard_normal(3000)
-    values[1000:1011] = values[1000]
-    (finding,) = stuck(channel_of(values))
-    assert finding.level == "doubtful"
-
-
-def test_nine_equal_samples_are_not_enough(channel_of):
-    values = np.random.default_rng(1).standard_normal(3000)
-    values[1000:1009] = values[1000]
-    assert stuck(channel_of(values)) == []
+    values[1000 : 1000 + n_equal] = values[1000]
+    assert [finding.level for finding in stuck(channel_of(values))] == levels
 
 
 def test_a_body_that_comes_to_rest_and_starts_again_is_not_frozen(channel_of):

@@ -1,4 +1,3 @@
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -146,17 +145,6 @@ def test_names_from_files_are_shortened_in_sentences():
     values = np.column_stack([np.zeros(100), np.random.default_rng(0).standard_normal(100)])
     record = Record(np.empty((100, 0)), values, 0.01, output_names=["x" * 3000, "y"])
     assert max(len(finding.sentence) for finding in check_quality(record).findings) < 600
-
-
-@pytest.mark.benchmark
-def test_a_million_samples_of_eight_channels_take_seconds():
-    rng = np.random.default_rng(0)
-    force = rng.standard_normal((1_000_000, 2))
-    tips = np.cumsum(force @ rng.standard_normal((2, 6)), axis=0)
-    tips -= np.vstack([np.zeros((50, 6)), tips[:-50]])
-    start = time.process_time()
-    check_quality(Record(force, tips, 0.001))
-    assert time.process_time() - start < 6.0
 
 
 def test_without_inputs_the_spectra_have_fine_lines():

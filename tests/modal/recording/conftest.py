@@ -317,6 +317,14 @@ def read():
     return Stored
 
 
+@pytest.fixture(scope="session")
+def stored(identification, tmp_path_factory):
+    """The recording of the plain identification, for whoever only reads it."""
+    from modal.recording import save_recording
+
+    return Stored(save_recording(identification, tmp_path_factory.mktemp("recording") / "run.rrd"))
+
+
 @pytest.fixture(autouse=True)
 def strict():
     import rerun as rr

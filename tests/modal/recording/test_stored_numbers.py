@@ -15,13 +15,6 @@ NAMES = [
 ]
 
 
-@pytest.fixture(scope="module")
-def stored(identification, tmp_path_factory, read):
-    path = tmp_path_factory.mktemp("recording") / "run.rrd"
-    save_recording(identification, path)
-    return read(path)
-
-
 def test_every_series_is_the_record_sample_by_sample(stored, identification):
     record = identification.records[0]
     for i, name in enumerate(record.input_names):

@@ -1,13 +1,10 @@
 """A report written once, of channels whose names are as bad as names get."""
 
-import pytest
+from dataclasses import replace
+from types import SimpleNamespace
 
-NASTY_NAMES = (
-    '<script>alert("1")</script>',
-    '=HYPERLINK("http://x.y") ](javascript:1) `|* ' + "very long " * 60,
-    "\N{RIGHT-TO-LEFT OVERRIDE}קומה\x1b[2J\x00 $\\frac{",
-)
-NASTY_INPUT = "--><img src=x onerror=alert(1)>"
+import pytest
+from page_reader import NASTY_INPUT, NASTY_NAMES
 
 
 @pytest.fixture(scope="session")
@@ -38,3 +35,25 @@ def plain_files(plain, tmp_path_factory):
 
     provenance = Provenance(command="modal-report run x", sources=("x",), remarks=("x",))
     return write_report(plain, tmp_path_factory.mktemp("plain") / "report", provenance=provenance)
+
+
+@pytest.fixture(scope="session")
+def gap_texts(make_gap):
+    """{names: (page, Markdown, CSV)} of the same diagnosis with plain and with nasty names."""
+    from modal.report.discrepancy_pages import diagnosis_html, diagnosis_markdown, draw_diagnosis
+
+    from modal.report.discrepancy_writing import diagnosis_csv
+    from modal.sections.provenance import Provenance
+
+    found = {}
+    for key, names, input_name, where in (
+        ("plain", ("lower", "upper"), "force", "element_1"),
+        ("nasty", (NASTY_NAMES[0], NASTY_NAMES[1] + NASTY_NAMES[2]), NASTY_INPUT, "=1+1\x1b<script>"),
+    ):
+        one = make_gap(names=names, input_name=input_name, where=where, warnings=(f"Look at {names[0]}.",))
+        one = replace(one, location=SimpleNamespace(sentences=(f"The gap lies in {names[1]}.",)))
+        one = replace(one, held_out=tuple(replace(record, name=names[1]) for record in one.held_out))
+        given = Provenance(command=f"modal-report gap '{input_name}'", sources=names, remarks=(input_name,))
+        page = diagnosis_html(one, given, draw_diagnosis(one), model_file="model.json")
+        found[key] = (page, diagnosis_markdown(one, given), diagnosis_csv(one))
+    return found

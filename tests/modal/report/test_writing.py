@@ -7,90 +7,93 @@ import pytest
 import modal.recording
 from modal.comparison.shifts import read_result
 from modal.identification.result import load
-from modal.report import Provenance, write_report
+from modal.report import DiagnosisFiles, Provenance, ReportFiles, write_report
 from modal.report import writing as kept_result
 from modal.report.folder import refuse_names
-from modal.report.writing import ReportFiles, keep_result
+from modal.report.writing import keep_result
 from okid.errors import InvalidDataError, UnreadableFileError
 
 
 @pytest.fixture
 def quick(monkeypatch):
-    """A recording that costs nothing: what is tested here is that all files appear or none."""
+    """A recording and pictures that cost nothing: what is tested here is that all files appear or none."""
     monkeypatch.setattr(modal.recording, "save_recording", lambda _result, path, **_options: path.write_bytes(b"rrd"))
     monkeypatch.setattr("modal.report.writing.draw_pictures", lambda _result, _setting: {})
+    monkeypatch.setattr("modal.report.discrepancy_writing.draw_diagnosis", lambda _diagnosis: {})
 
 
 def everything(folder):
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
 
 
-NAMES = [
-    "report.html",
-    "report.md",
-    "report.json",
-    "report.schema.json",
-    "modes.csv",
-    "modes.uff",
-    "result.npz",
-    "recording.rrd",
-]
+NAMES = {
+    "identification": [
+        *("report.html", "report.md", "report.json", "report.schema.json", "modes.csv", "modes.uff", "result.npz"),
+        "recording.rrd",
+    ],
+    "diagnosis": ["report.html", "report.md", "report.json", "findings.csv", "recording.rrd", "model.json"],
+}
+kinds = pytest.mark.parametrize("kind", NAMES)
 
 
-def test_all_files_are_written(identification, tmp_path, quick):
-    files = write_report(identification, tmp_path / "a" / "b")
+@pytest.fixture
+def result(request, kind):
+    """Either kind of result; one function writes both."""
+    return request.getfixturevalue(kind)
+
+
+@kinds
+def test_all_files_are_written_and_iterated_in_their_order(result, kind, tmp_path, quick):
+    files = write_report(result, tmp_path / "a" / "b")
+    assert type(files) is {"identification": ReportFiles, "diagnosis": DiagnosisFiles}[kind]
+    assert [path.name for path in files] == NAMES[kind]
     assert all(path.is_file() for path in files)
-    assert everything(tmp_path / "a" / "b") == sorted(NAMES)
+    assert everything(tmp_path / "a" / "b") == sorted(NAMES[kind])
     assert everything(tmp_path / "a")[0] == "b"
 
 
-def test_the_real_recording_is_written(plain_files):
-    assert plain_files.recording.read_bytes()[:4] == b"RRF2"
-
-
-def test_same_result_same_bytes(make_result, plain_files, tmp_path, monkeypatch):
+def test_same_result_same_bytes_and_a_real_recording(make_result, plain_files, diagnosis_of, tmp_path, monkeypatch):
+    written = [write_report(diagnosis_of("named", 1), tmp_path / name) for name in "ab"]
     monkeypatch.setattr(modal.recording, "save_recording", lambda _result, path, **_options: path.write_bytes(b"rrd"))
     again = write_report(
         make_result(warnings=("Look at floor_1.",)),
         tmp_path / "again",
         provenance=Provenance(command="modal-report run x", sources=("x",), remarks=("x",)),
     )
-    for first, second in zip(plain_files, again, strict=True):
-        if first.suffix != ".rrd":  # chunk identities differ from run to run; the recording's own tests compare it
-            assert first.read_bytes() == second.read_bytes()
+    for first, second in ((plain_files, again), written):
+        assert first.recording.read_bytes()[:4] == b"RRF2"
+        for one, other in zip(first, second, strict=True):
+            if one.suffix != ".rrd":  # chunk identities differ from run to run; the recording's own tests compare it
+                assert one.read_bytes() == other.read_bytes()
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_an_existing_file_is_refused_and_left_alone(identification, tmp_path, quick, name):
+@pytest.mark.parametrize(("kind", "name"), [(kind, name) for kind in NAMES for name in NAMES[kind]])
+def test_an_existing_file_is_refused_and_left_alone_or_replaced_when_asked_for(result, kind, tmp_path, quick, name):
     (tmp_path / name).write_text("mine")
-    with pytest.raises(InvalidDataError, match=name):
-        write_report(identification, tmp_path)
-    assert everything(tmp_path) == [name]
-    assert (tmp_path / name).read_text() == "mine"
-
-
-def test_other_files_of_an_existing_folder_stay(identification, tmp_path, quick):
     (tmp_path / "notes.txt").write_text("mine")
-    write_report(identification, tmp_path)
+    for refused in (
+        lambda: write_report(result, tmp_path),
+        lambda: refuse_names(tmp_path, NAMES[kind], "refuse"),
+    ):
+        with pytest.raises(InvalidDataError, match=name):
+            refused()
+        assert everything(tmp_path) == sorted([name, "notes.txt"])
+        assert (tmp_path / name).read_text() == "mine"
+    write_report(result, tmp_path, existing="replace")
+    assert (tmp_path / name).read_bytes() != b"mine"
     assert (tmp_path / "notes.txt").read_text() == "mine"
-    assert len(everything(tmp_path)) == len(NAMES) + 1
+    assert len(everything(tmp_path)) == len(NAMES[kind]) + 1
 
 
-def test_replacing_is_done_when_asked_for(identification, tmp_path, quick):
-    (tmp_path / "report.html").write_text("old")
-    files = write_report(identification, tmp_path, existing="replace")
-    assert files.html.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
-
-
+@kinds
 @pytest.mark.parametrize("fault", [KeyboardInterrupt, RuntimeError, OSError(28, "No space left on device")])
-def test_a_fault_leaves_nothing(identification, tmp_path, quick, monkeypatch, fault):
+def test_a_fault_leaves_nothing(result, kind, *, tmp_path, quick, monkeypatch, fault):
     def fail(_result, _path, **_options):
         raise fault
 
     monkeypatch.setattr(modal.recording, "save_recording", fail)
-    expected = InvalidDataError if isinstance(fault, OSError) else fault
-    with pytest.raises(expected):
-        write_report(identification, tmp_path / "new" / "deep")
+    with pytest.raises(InvalidDataError if isinstance(fault, OSError) else fault):
+        write_report(result, tmp_path / "new" / "deep")
     assert everything(tmp_path) == []
 
 
@@ -117,11 +120,6 @@ def test_the_new_folder_has_ordinary_permissions(identification, tmp_path, quick
     assert files.html.parent.stat().st_mode == (tmp_path / "ordinary").stat().st_mode
 
 
-def test_files_are_iterated_in_their_order(tmp_path):
-    names = [path.name for path in ReportFiles.in_folder(tmp_path)]
-    assert names == NAMES
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="limits on the size of a file are of POSIX")
 @pytest.mark.parametrize("share", [0.001, 0.3, 0.98])
 def test_a_file_that_finds_no_room_is_no_report(identification, tmp_path, quick, share):
@@ -137,11 +135,6 @@ def test_a_file_that_finds_no_room_is_no_report(identification, tmp_path, quick,
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert [path.name for path in tmp_path.iterdir()] == ["whole"]
-
-
-def test_it_is_the_result(tmp_path, identification):
-    path = keep_result(identification, tmp_path / "result.npz")
-    np.testing.assert_array_equal(load(path).records[0].outputs, identification.records[0].outputs)
 
 
 def bytes_of_arrays(path):

@@ -61,10 +61,6 @@ def test_overdamped_poles_are_not_called_vibration_modes(identification, count, 
     assert [damping_text(mode) for mode in modes].count("overdamped") == count
 
 
-def test_headline_gives_the_range(identification):
-    assert modes_headline(identification).endswith("between 3.67 and 16.6 Hz.")
-
-
 @pytest.mark.parametrize(("value", "text"), [(0.00072371, "0.0007237"), (999.96, "1000"), (27470.63, "27470.6")])
 def test_frequencies_are_written_without_powers_of_ten(identification, value, text):
     assert hertz(value) == text

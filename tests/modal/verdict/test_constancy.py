@@ -33,10 +33,6 @@ def test_a_stiffness_that_falls_or_rises_is_said_so():
     assert 0.0 < late - early < 0.03 * 8.0
 
 
-def test_a_linear_structure_does_not_change():
-    assert warnings_of("driven", 1) == []
-
-
 def test_a_mode_at_rest_in_most_of_the_record_has_no_level_to_change_with():
     """Driven for a tenth of the record, then decayed below what a float can hold."""
     u = np.random.default_rng(0).standard_normal(12_000)

@@ -7,7 +7,8 @@ import scipy
 import modal
 import okid
 from modal.modes.mode import ModalModel, Mode
-from modal.verdict.judgement import Rerun, Reruns, judge, probability
+from modal.verdict.excitation import BetweenLines
+from modal.verdict.judgement import Rerun, Reruns, judge
 from okid.excitation import Excitation
 
 DT = 0.01
@@ -122,10 +123,6 @@ def test_without_reruns_nothing_is_judged():
 
 def test_an_empty_model_stays_empty():
     assert len(judge(model_of(), found_with())) == 0
-
-
-def test_probability_rises():
-    assert 0 < probability(0.0) < probability(0.5) < probability(1.0) < 1
 
 
 # --- reasons ----------------------------------------------------------------------------------------------------------
@@ -397,6 +394,64 @@ def test_a_mode_where_no_input_moves_is_not_certain(bands, verdict):
     assert mode.verdict == verdict
     assert ("no input moves at 5 Hz" in mode.reason) == (verdict == "doubtful")
     assert (mode.probability <= 0.55) == (verdict == "doubtful")
+
+
+def twice(values):
+    """For the mode and the one beside it."""
+    return np.concatenate([values, values])
+
+
+BROAD = vibration(5.0, 0.6)
+SLOW = on_real_axis(0.9999)
+"""Which takes a tenth of a turn in a hundred seconds."""
+
+
+@pytest.mark.parametrize(
+    ("mode", "told", "untold", "words"),
+    [
+        (BROAD, {"is_table": True}, {}, "damping 60 %: does not come back once"),
+        (BROAD, {"ringing": np.array([99.0])}, {}, "damping 60 %: does not come back once"),
+        (SLOW, {"rings_down": True}, {}, "so slow that a drifting sensor makes it as well"),
+        (
+            vibration(),
+            {"beyond": (np.array([0.0]), np.array([300]))},
+            {"beyond": (np.array([0.6]), np.array([300]))},
+            "the inputs hardly move at 5 Hz, and nothing there follows them",
+        ),
+        (
+            vibration(),
+            {"clipped": np.full((1, 3), 0.6)},
+            {"clipped": np.full((1, 3), 0.01)},
+            "clipping or rounding alone makes 60 % of what moves at 5 Hz",
+        ),
+        (vibration(), {"clipped": np.full((1, 3), np.nan)}, {}, "is not steady, so nothing tells what their limits"),
+        (vibration(), {"height": np.array([1.5])}, {"height": np.array([6.0])}, "no peak stands at 5 Hz"),
+    ],
+)
+def test_what_repeats_perfectly_is_doubtful_for_each_reason(mode, told, untold, words):
+    again = model_of(mode, vibration(20.0))
+    runs = reruns_of(*((change, again) for change in ("data", "observer", "lower order", "higher order")))
+    for options, verdict in ((told, "doubtful"), (untold, "system")):
+        both = {
+            name: value
+            if value is True
+            else twice(value)
+            if isinstance(value, np.ndarray)
+            else tuple(map(twice, value))
+            for name, value in options.items()
+        }
+        result = judge(again, runs, duration=100.0, **both).modes[0]
+        assert result.verdict == verdict
+        assert (words in result.reason) == (verdict == "doubtful")
+
+
+@pytest.mark.parametrize(("gain", "verdict"), [(0.0, "doubtful"), (np.nan, "doubtful"), (0.6, "system")])
+def test_a_mode_that_only_the_lines_of_the_inputs_show_is_not_certain(gain, verdict):
+    """It repeats perfectly, as every fit to the same tones does."""
+    lines = BetweenLines(lines=np.array([4.0]), gain=np.array([gain]), n_values=np.array([300]))
+    mode = judged(vibration(5.0), found_with(), lines=lines)
+    assert mode.verdict == verdict
+    assert ("the inputs are one line (4 Hz), and beside" in mode.reason) == (verdict == "doubtful")
 
 
 @pytest.mark.parametrize(("ringing", "verdict"), [(-1.0, "doubtful"), (4.0, "doubtful"), (6.0, "system")])

@@ -1,16 +1,10 @@
 """The page "Order" on the timeline "model_order": poles appear as the order grows, words say what each order has."""
 
 import numpy as np
-import pytest
 
 from modal.recording import save_recording
 
 PLOT = "/order/stabilisation/plot"
-
-
-@pytest.fixture(scope="module")
-def stored(identification, tmp_path_factory, read):
-    return read(save_recording(identification, tmp_path_factory.mktemp("order") / "run.rrd"))
 
 
 def test_each_order_shows_the_poles_of_all_orders_below_and_its_own_in_front(stored, identification):

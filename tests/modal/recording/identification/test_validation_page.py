@@ -12,11 +12,6 @@ from modal.recording.plan import gather, planned, response_of
 from okid.record import Record
 
 
-@pytest.fixture(scope="module")
-def stored(identification, tmp_path_factory, read):
-    return read(save_recording(identification, tmp_path_factory.mktemp("validation") / "run.rrd"))
-
-
 def complex_column(rows, name):
     return np.array([row[f"{name}_real"] for row in rows.values()]) + 1j * np.array(
         [row[f"{name}_imaginary"] for row in rows.values()]
