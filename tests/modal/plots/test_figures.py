@@ -85,17 +85,21 @@ def test_no_window_opens_and_modal_does_not_import_matplotlib():
     subprocess.run([sys.executable, "-W", "error", "-c", code], check=True)
 
 
+@pytest.fixture(scope="module")
+def forty_axes():
+    return list(Figure().subplots(1, 40))
+
+
 @pytest.mark.parametrize(
     "name", ["stabilisation", "modes", "frequency_responses", "assurance", "complexity", "spectra", "fit"]
 )
-def test_each_figure_of_an_identification_is_one_call(identification, name):
+def test_each_figure_of_an_identification_is_one_call(identification, forty_axes, name):
     figure = getattr(plots, name)(identification)
     assert isinstance(figure, Figure)
     figure.draw_without_rendering()
     assert any(axes.lines or axes.collections or axes.texts for axes in figure.axes)
-    own = Figure()
     with pytest.raises(InvalidDataError, match="each panel needs axes of its own"):
-        getattr(plots, name)(identification, axes=list(own.subplots(1, 40)))
+        getattr(plots, name)(identification, axes=forty_axes)
 
 
 @pytest.mark.parametrize("name", ["gap", "law"])

@@ -75,6 +75,22 @@ def test_the_verdict_follows_repeatability(r, verdict):
 
 
 @pytest.mark.parametrize(
+    ("ratio", "parts", "words"),
+    [
+        (1.0, {"data": 0.9, "observer": 0.6}, "found again, but what the inputs make it do may be chance (F ratio 1)"),
+        (4.9, {"data": 0.9, "observer": 0.6}, "found again, but what the inputs make it do may be chance (F ratio 5)"),
+        (1.0, {"data": 0.9, "observer": 0.49}, "depends on the observer order and ridge"),
+        (5.1, {"data": 0.9, "observer": 0.3}, "depends on the observer order and ridge"),
+    ],
+)
+def test_what_may_be_chance_is_said_where_all_find_it_again(ratio, parts, words):
+    gain = ratio / (ratio + 5000 / 10)  # ten numbers of a pair of three outputs and two inputs
+    mode = judged(vibration(), found_with(**parts), gain=np.array([gain]), n_values=5000)
+    assert mode.verdict == "doubtful"
+    assert mode.reason.startswith(words)
+
+
+@pytest.mark.parametrize(
     ("r", "ratio", "verdict"),
     [
         (0.9, 1e4, "system"),
