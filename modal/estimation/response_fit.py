@@ -9,12 +9,21 @@ and feedthrough are linear and leave by projection; poles and participations are
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from era.realisation import Realisation
 from modal.modes.modal_form import modal_basis
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
-from okid.frequency_response import ResponseWindow, window_samples
+from okid.errors import InvalidDataError
+from okid.frequency_response import (
+    FrequencyResponse,
+    ResponseWindow,
+    block_length,
+    line_spacing,
+    window_autocorrelation,
+    window_samples,
+)
 
 LARGEST_SIZE = 0.999999
 """Keep poles within this size: a structure's answers end, and so do the sums over a state's past."""
@@ -137,6 +146,72 @@ class ResponseLines:
         turned = w * np.exp(-2j * np.pi * offset / n * np.arange(n))
         both = np.fft.ifft(np.fft.fft(turned, 2 * n) * np.fft.fft(w, 2 * n).conj()) / (w @ w)
         return both[:n], np.r_[both[:1], both[:n:-1]]
+
+
+def lines_of(response: FrequencyResponse, window: ResponseWindow, finer: int = 1) -> tuple[ResponseLines, FloatArray]:
+    """The table in channels of comparable size, and the lines (0 Hz to the last) that its pulse response is made of."""
+    noise, trust, together = _noise(response)
+    known = np.isfinite(response.response) & (trust > 0)
+    values = np.where(known, response.response, 0.0)
+    trusted = np.abs(values * trust) ** 2
+    out = np.sqrt(_mean(trusted, known, (0, 2)))
+    out = np.where(out > 0, out, 1.0)
+    into = np.sqrt(_mean(trusted / out[:, np.newaxis] ** 2, known, (0, 1)))
+    into = 1 / np.where(into > 0, into, 1.0)
+    f = response.frequencies
+    dt, lags, first, grid = 0.5 / float(f[-1]) / finer, None, 0, f
+    if on_grid(response):
+        first = round(float(f[0]) / line_spacing(response))
+        n_samples, first = block_length(response, dt if first or finer > 1 else None)
+        lags = None if window == "periodic" else window_autocorrelation(response, n_samples, window=window)
+    else:  # the start comes from resampled lines, and the window cannot be known
+        grid, window = np.linspace(0.0, f[-1], f.size)[np.linspace(0.0, f[-1], f.size) >= f[0]], "periodic"
+    table = ResponseLines(
+        values=np.asarray(values * into / out[:, np.newaxis], dtype=np.complex128),
+        known=known,
+        z=np.exp(2j * np.pi * f * dt),
+        dt=dt,
+        lags=lags,
+        first=first,
+        window=window,
+        noise=noise,
+        trust=trust,
+        together=together,
+        output_scale=out,
+        input_scale=into,
+    )
+    return table, grid
+
+
+def on_grid(response: FrequencyResponse) -> bool:
+    """Whether the lines are those of blocks, so that their window has lags."""
+    try:
+        line_spacing(response)
+    except InvalidDataError:
+        return False
+    return True
+
+
+def _noise(response: FrequencyResponse) -> tuple[FloatArray | None, FloatArray, bool]:
+    """(1 - coherence) / coherence of each value; its coherence beyond chance; whether all inputs acted at once.
+
+    Beyond chance is nothing, 0, where noise alone has such a coherence in one of twenty lines: no input moved there.
+    """
+    coherence, shape = response.coherence, response.response.shape
+    if coherence is None:
+        return None, np.ones(shape), False
+    together = coherence.ndim == 2 and response.n_inputs > 1
+    whole = coherence[:, :, np.newaxis] if coherence.ndim == 2 else coherence
+    whole = np.broadcast_to(np.clip(np.where(np.isnan(whole), np.nanmedian(whole), whole), 1e-9, 1.0), shape)
+    chance, n = (response.n_inputs if together else 1), response.n_averages  # of noise alone it is chance / n
+    beyond = 1 - (1 - whole) * n / (n - chance) if n is not None and n > chance else whole
+    if n is not None and n > chance:
+        beyond = np.where(whole > scipy.special.betaincinv(chance, n - chance, 0.95), beyond, 0.0)
+    return 1 / whole - 1, np.maximum(beyond, 0.0), together
+
+
+def _mean(values: FloatArray, known: BoolArray, axis: tuple[int, int]) -> FloatArray:
+    return np.asarray((values * known).sum(axis=axis) / np.maximum(1, known.sum(axis=axis)), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
