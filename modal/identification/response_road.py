@@ -13,7 +13,7 @@ import numpy as np
 
 from era.balanced import HankelDecomposition, decompose, order_choice, realise_from
 from modal.estimation.cross_validation import hankel_limits
-from modal.estimation.force_dips import NARROW, with_dips
+from modal.estimation.force_dips import with_dips
 from modal.estimation.response_fit import (
     ResponseFit,
     ResponseLines,
@@ -24,7 +24,15 @@ from modal.estimation.response_fit import (
     refined,
     start_of,
 )
-from modal.estimation.response_noise import Noise, drawn_noise, lines_joined, noise_of, pole_deviations
+from modal.estimation.response_noise import (
+    Noise,
+    beyond_blocks,
+    drawn_noise,
+    lines_joined,
+    noise_of,
+    pole_deviations,
+    runs_on,
+)
 from modal.estimation.response_order import (
     QUICK,
     evidence_of,
@@ -42,7 +50,7 @@ from modal.identification.result import Identification, OrderEvidence
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import Choice, Fit, ModalModel
 from modal.preparation.faults import living_response
-from modal.verdict.judgement import DOUBTED, Rerun, Reruns, judge
+from modal.verdict.judgement import Rerun, Reruns, blurred, judge, scattered
 from modal.verdict.stabilisation import stabilisation
 from modal.wording.text import LEAST_FIT, counted, hertz
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray, listener, one_blas_thread, whole_number
@@ -325,6 +333,11 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
     white = found.under_white
     unjudged = _with_deviations(extract_modes(realised(white, table)), white, table, frequency_std, damping_std)
     reruns, folds, held_out = _again(found)
+    ratios, onward = np.ones(fit.poles.size), np.zeros(fit.poles.size, dtype=np.bool_)
+    if fit is white:  # else it is told how the force falls
+        of_damping = damping_std / np.maximum(-np.log(np.abs(fit.poles)) / np.abs(np.log(fit.poles)), TINY)
+        ratios = beyond_blocks(table, fit, noise, of_damping, found.response.n_averages)
+        onward = runs_on(table, fit, noise)
     weight = weight_of(table, noise)
     whole = lines_fit(fit.left, table, weight)
     measured = Fit(cross_validated=held_out, folds=folds, whole=whole, one_step=np.full(whole.size, np.nan))
@@ -336,7 +349,12 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
         fit=measured.mean,
         is_table=True,
     )
-    modes = _named(_in_these_words(_within(found.response, _moved(modes, found))), found.response)
+    modes = _within(found.response, _moved(modes, found))
+    of_mode = [int(np.abs(fit.poles - np.exp(mode.pole * table.dt)).argmin()) for mode in modes.modes]
+    modes, beyond = scattered(
+        modes, ratios[of_mode], onward[of_mode], found.response.frequencies, several_forces=found.response.n_inputs > 1
+    )
+    modes = _named(_in_these_words(modes), found.response)
     tried_orders = sorted(found.fits)
     highest = realise_from(found.decomposition, min(found.decomposition.rank, found.decomposition.max_order))
     scale = table.output_scale[:, np.newaxis] / table.input_scale
@@ -363,7 +381,7 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
         fit=measured,
         simulated=(),
         predicted=(),
-        warnings=(*_warnings(found, modes, measured, tried), *([FORCE_DIPS] if fit is not white else [])),
+        warnings=(*_warnings(found, modes, measured, tried), *beyond, *([FORCE_DIPS] if fit is not white else [])),
     )
 
 
@@ -408,8 +426,6 @@ def _within(response: FrequencyResponse, modes: ModalModel) -> ModalModel:
     and what is left of its main lobe is described by a second pole.
     """
     first, last = response.frequencies[[0, -1]]
-    widened = not on_grid(response) and response.window not in {"unknown", "periodic", "exponential"}
-    spacing = np.diff(response.frequencies) if widened else np.zeros(len(response.frequencies) - 1)
     judged = []
     for mode in modes.modes:
         half = mode.damping_ratio * mode.frequency  # of its half-power band
@@ -418,19 +434,11 @@ def _within(response: FrequencyResponse, modes: ModalModel) -> ModalModel:
             f"outside the lines of the table ({hertz(first)} to {hertz(last)} Hz): it stands for what lies beyond them"
         )
         outside = replace(mode, verdict="noise", probability=0.0, damping_resolved=False, reason=reason)
-        lines = float(np.interp(mode.frequency, response.frequencies[1:], spacing))
-        if not inside:
-            judged.append(outside)
-        elif half < NARROW / 2 * lines and mode.verdict == "system":
-            reason = f"its half-power band of {hertz(2 * half)} Hz is that of a {response.window} window at such lines"
-            p, words = min(mode.probability, DOUBTED), f"{reason}; {mode.reason}"
-            doubts = (("data", reason),)
-            judged.append(
-                replace(mode, verdict="doubtful", probability=p, damping_resolved=False, doubts=doubts, reason=words)
-            )
-        else:
-            judged.append(mode)
-    return replace(modes, modes=tuple(judged))
+        judged.append(mode if inside else outside)
+    modes = replace(modes, modes=tuple(judged))
+    if on_grid(response) or response.window in {"unknown", "periodic", "exponential"}:
+        return modes
+    return blurred(modes, response.frequencies, f"that of a {response.window} window at such lines")
 
 
 def _in_these_words(modes: ModalModel) -> ModalModel:
