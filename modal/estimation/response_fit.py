@@ -31,9 +31,6 @@ MOST_STEPS = 15
 """Take at most so many steps: from a realisation of the same table a refinement stands still within some five."""
 STANDS_STILL = 1e-7
 """Stop where a step lowers the squared error by a smaller share: far below what noise decides."""
-ON_THE_WAY = 3e-4
-"""Stop earlier, where it lowers it by a smaller share than this, while poles are still to be left out: of 3000 lines in
-standard deviations that is one, which decides nothing."""
 INDEPENDENT = 1e-5
 """Ask the rank of columns of length 1 where one stands no further off the span of those before it: their Gram matrix
 holds the square of that."""
@@ -421,7 +418,6 @@ def refined(
     weight: FloatArray,
     *,
     n_steps: int = MOST_STEPS,
-    still: float = STANDS_STILL,
 ) -> ResponseFit:
     """Poles and participations after damped Gauss-Newton steps, as long as the squared error falls.
 
@@ -433,7 +429,6 @@ def refined(
         start: where to begin.
         weight: as in `fit_at`.
         n_steps: at most so many.
-        still: share of the squared error that a step must take away for another one to follow.
     """
     first = start.start if isinstance(start, ResponseFit) else start
     best, damping, growth = fit_at(table, *first, weight), 1e-3, 2.0
@@ -457,7 +452,7 @@ def refined(
         if gained <= 0:
             break
         best = trial
-        if gained <= still * best.error:
+        if gained <= STANDS_STILL * best.error:
             break
     return best
 
@@ -524,6 +519,4 @@ def losses(fit: ResponseFit) -> FloatArray:
 def without_pole(table: ResponseLines, fit: ResponseFit, pole: int, weight: FloatArray, *, n_steps: int) -> ResponseFit:
     """The fit without a pole, the others refined."""
     kept = np.arange(fit.poles.size) != pole
-    return refined(
-        table, (fit.poles[kept], fit.is_pair[kept], fit.inputs[kept]), weight, n_steps=n_steps, still=ON_THE_WAY
-    )
+    return refined(table, (fit.poles[kept], fit.is_pair[kept], fit.inputs[kept]), weight, n_steps=n_steps)
