@@ -173,8 +173,11 @@ def runs_on(table: ResponseLines, fit: ResponseFit, noise: Noise) -> BoolArray:
     """(n_poles,) whether what the model leaves near each resonance runs on from line to line, as noise does not.
 
     A resonance whose frequency or damping depends on its level is no sum of poles. The correlation over lines that no
-    window joins is held against that of drawn errors: further from their mean than 5 of their standard deviations.
+    window joins is held against that of drawn errors: further from their mean than 5 of their standard deviations. Not
+    asked of blocks that leak where no coherence tells how much: a linear structure failed it (white forces, 41184).
     """
+    if table.leaks and table.noise is None:
+        return np.zeros(fit.poles.size, dtype=np.bool_)
     rng, weight = np.random.default_rng(DRAWN), np.where(table.known, 1 / np.sqrt(noise.variance), 0.0)
     reach, last = _reach(table)[-1], table.z.size - 1
     angles = np.abs(np.log(fit.poles))
