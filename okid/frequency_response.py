@@ -36,6 +36,9 @@ systems with Hann blocks of 512 to 4096 samples, 1/4 gave damping within 0.2 % i
 OFF_GRID = 0.01
 """Refuse lines that lie further off the uniform grid than this share of their spacing: more than rounding in a file."""
 
+LEAST_MEASURED = 0.1
+"""Fill no grid of which less than this share was measured: lines that fit one may be rounded numbers."""
+
 ResponseWindow = Literal["hann", "hamming", "flattop", "uniform", "periodic", "exponential", "unknown"]
 """What weighted each block; "periodic": whole periods a block (or an answer that is over at its end), no window."""
 Estimator = Literal["H1", "H2", "Hv"]
@@ -241,6 +244,37 @@ def line_spacing(response: FrequencyResponse) -> float:
             f"({f[worst]:.6g} Hz) lies {off[worst]:.2g} spacings off; export or resample the table on such a grid."
         )
     return spacing
+
+
+def with_missing_lines(response: FrequencyResponse) -> FrequencyResponse:
+    """The table on the uniform grid that its lines are part of, NaN at those it leaves out; else unchanged.
+
+    Lines that somebody deleted leave the blocks, and so the window, what they were.
+
+    Example:
+        >>> with_missing_lines(FrequencyResponse([1.0, 2.0, 3.0], [1.0, 2.0, 4.0])).response.ravel().real
+        array([ 1.,  2., nan,  3.])
+    """
+    f = response.frequencies
+    steps = np.diff(f)
+    spacing = float(f[-1] - f[0]) / float(np.round(steps / steps.min()).sum())
+    spacing = float(f[-1] / max(1.0, np.round(f[-1] / spacing)))
+    numbers = np.round(f / spacing).astype(int)
+    size = int(numbers[-1] - numbers[0]) + 1
+    if np.abs(f / spacing - numbers).max() > OFF_GRID or not f.size < size <= f.size / LEAST_MEASURED:
+        return response
+
+    def filled(values: np.ndarray) -> np.ndarray:
+        lines = np.full((size, *values.shape[1:]), np.nan, dtype=values.dtype)
+        lines[numbers - numbers[0]] = values
+        return lines
+
+    return replace(
+        response,
+        response=filled(response.response),
+        frequencies=np.arange(numbers[0], numbers[-1] + 1) * spacing,
+        coherence=None if response.coherence is None else filled(response.coherence),
+    )
 
 
 def block_length(response: FrequencyResponse, dt: float | None) -> tuple[int, int]:

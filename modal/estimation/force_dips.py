@@ -28,9 +28,8 @@ FIRST_STEPS, MOST_STEPS = 8, 24
 ROUNDS = 2
 """Weigh the table again by what the dips leave of its errors, and search again, so often."""
 COMES_AFTER = 2
-"""Let the poles come after another load for so many steps before it is judged."""
-LEFT_OUT = 3
-"""Try no model with so many poles fewer than one that was better."""
+"""Let the poles come after another load for so many steps before it is judged. Eight lead to the same modes within a
+deviation at 1.4 to 1.7 times the CPU, one and four likewise (shaker tables 41150 to 41153)."""
 AWAY = 2.0 ** np.arange(9)
 """Start with the force's poles so many lines away from the structure's, whichever distance explains most."""
 STANDS_STILL = 1e-4
@@ -82,7 +81,7 @@ def with_dips(
         return None
     least, weight = evidence(models[0].error, models[0].n_parameters), weight_of(models[0])
     number, points = -1, list[_Point]()
-    for k, model in enumerate(models[: LEFT_OUT + 1]):
+    for k, model in enumerate(models):
         search = _Search(table, model, weight)
         if not search.dips.any():
             break

@@ -9,12 +9,21 @@ and feedthrough are linear and leave by projection; poles and participations are
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from era.realisation import Realisation
 from modal.modes.modal_form import modal_basis
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
-from okid.frequency_response import ResponseWindow, window_samples
+from okid.errors import InvalidDataError
+from okid.frequency_response import (
+    FrequencyResponse,
+    ResponseWindow,
+    block_length,
+    line_spacing,
+    window_autocorrelation,
+    window_samples,
+)
 
 LARGEST_SIZE = 0.999999
 """Keep poles within this size: a structure's answers end, and so do the sums over a state's past."""
@@ -22,9 +31,6 @@ MOST_STEPS = 15
 """Take at most so many steps: from a realisation of the same table a refinement stands still within some five."""
 STANDS_STILL = 1e-7
 """Stop where a step lowers the squared error by a smaller share: far below what noise decides."""
-ON_THE_WAY = 3e-4
-"""Stop earlier, where it lowers it by a smaller share than this, while poles are still to be left out: of 3000 lines in
-standard deviations that is one, which decides nothing."""
 INDEPENDENT = 1e-5
 """Ask the rank of columns of length 1 where one stands no further off the span of those before it: their Gram matrix
 holds the square of that."""
@@ -137,6 +143,72 @@ class ResponseLines:
         turned = w * np.exp(-2j * np.pi * offset / n * np.arange(n))
         both = np.fft.ifft(np.fft.fft(turned, 2 * n) * np.fft.fft(w, 2 * n).conj()) / (w @ w)
         return both[:n], np.r_[both[:1], both[:n:-1]]
+
+
+def lines_of(response: FrequencyResponse, window: ResponseWindow, finer: int = 1) -> tuple[ResponseLines, FloatArray]:
+    """The table in channels of comparable size, and the lines (0 Hz to the last) that its pulse response is made of."""
+    noise, trust, together = _noise(response)
+    known = np.isfinite(response.response) & (trust > 0)
+    values = np.where(known, response.response, 0.0)
+    trusted = np.abs(values * trust) ** 2
+    out = np.sqrt(_mean(trusted, known, (0, 2)))
+    out = np.where(out > 0, out, 1.0)
+    into = np.sqrt(_mean(trusted / out[:, np.newaxis] ** 2, known, (0, 1)))
+    into = 1 / np.where(into > 0, into, 1.0)
+    f = response.frequencies
+    dt, lags, first, grid = 0.5 / float(f[-1]) / finer, None, 0, f
+    if on_grid(response):
+        first = round(float(f[0]) / line_spacing(response))
+        n_samples, first = block_length(response, dt if first or finer > 1 else None)
+        lags = None if window == "periodic" else window_autocorrelation(response, n_samples, window=window)
+    else:  # the start comes from resampled lines, and the window cannot be known
+        grid, window = np.linspace(0.0, f[-1], f.size)[np.linspace(0.0, f[-1], f.size) >= f[0]], "periodic"
+    table = ResponseLines(
+        values=np.asarray(values * into / out[:, np.newaxis], dtype=np.complex128),
+        known=known,
+        z=np.exp(2j * np.pi * f * dt),
+        dt=dt,
+        lags=lags,
+        first=first,
+        window=window,
+        noise=noise,
+        trust=trust,
+        together=together,
+        output_scale=out,
+        input_scale=into,
+    )
+    return table, grid
+
+
+def on_grid(response: FrequencyResponse) -> bool:
+    """Whether the lines are those of blocks, so that their window has lags."""
+    try:
+        line_spacing(response)
+    except InvalidDataError:
+        return False
+    return True
+
+
+def _noise(response: FrequencyResponse) -> tuple[FloatArray | None, FloatArray, bool]:
+    """(1 - coherence) / coherence of each value; its coherence beyond chance; whether all inputs acted at once.
+
+    Beyond chance is nothing, 0, where noise alone has such a coherence in one of twenty lines: no input moved there.
+    """
+    coherence, shape = response.coherence, response.response.shape
+    if coherence is None:
+        return None, np.ones(shape), False
+    together = coherence.ndim == 2 and response.n_inputs > 1
+    whole = coherence[:, :, np.newaxis] if coherence.ndim == 2 else coherence
+    whole = np.broadcast_to(np.clip(np.where(np.isnan(whole), np.nanmedian(whole), whole), 1e-9, 1.0), shape)
+    chance, n = (response.n_inputs if together else 1), response.n_averages  # of noise alone it is chance / n
+    beyond = 1 - (1 - whole) * n / (n - chance) if n is not None and n > chance else whole
+    if n is not None and n > chance:
+        beyond = np.where(whole > scipy.special.betaincinv(chance, n - chance, 0.95), beyond, 0.0)
+    return 1 / whole - 1, np.maximum(beyond, 0.0), together
+
+
+def _mean(values: FloatArray, known: BoolArray, axis: tuple[int, int]) -> FloatArray:
+    return np.asarray((values * known).sum(axis=axis) / np.maximum(1, known.sum(axis=axis)), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -346,7 +418,6 @@ def refined(
     weight: FloatArray,
     *,
     n_steps: int = MOST_STEPS,
-    still: float = STANDS_STILL,
 ) -> ResponseFit:
     """Poles and participations after damped Gauss-Newton steps, as long as the squared error falls.
 
@@ -358,7 +429,6 @@ def refined(
         start: where to begin.
         weight: as in `fit_at`.
         n_steps: at most so many.
-        still: share of the squared error that a step must take away for another one to follow.
     """
     first = start.start if isinstance(start, ResponseFit) else start
     best, damping, growth = fit_at(table, *first, weight), 1e-3, 2.0
@@ -382,7 +452,7 @@ def refined(
         if gained <= 0:
             break
         best = trial
-        if gained <= still * best.error:
+        if gained <= STANDS_STILL * best.error:
             break
     return best
 
@@ -449,6 +519,4 @@ def losses(fit: ResponseFit) -> FloatArray:
 def without_pole(table: ResponseLines, fit: ResponseFit, pole: int, weight: FloatArray, *, n_steps: int) -> ResponseFit:
     """The fit without a pole, the others refined."""
     kept = np.arange(fit.poles.size) != pole
-    return refined(
-        table, (fit.poles[kept], fit.is_pair[kept], fit.inputs[kept]), weight, n_steps=n_steps, still=ON_THE_WAY
-    )
+    return refined(table, (fit.poles[kept], fit.is_pair[kept], fit.inputs[kept]), weight, n_steps=n_steps)

@@ -23,6 +23,11 @@ ROUNDS = 60
 FARTHEST = 8
 """Correlate the errors of lines up to so far apart: beyond, the windows known here leave nothing."""
 
+DRAWN = 20
+"""Hold what a model leaves against so many draws, which give their deviation to a sixth."""
+SURE = 5.0
+"""Call a ratio of variances another than 1 from so many standard deviations: one of 10^6 by chance."""
+
 
 def _leakage(table: ResponseLines, fit: ResponseFit, inputs: list[int], offset: int = 0) -> ComplexArray:
     """(n_lines - offset, n_outputs, n_outputs) covariance of what finite blocks leave at lines l + offset and l.
@@ -125,6 +130,72 @@ def noise_of(table: ResponseLines, fit: ResponseFit) -> Noise:
     expected = np.maximum(expected * _smoothed(seen / expected, table.known, reach), least)
     level = _weighted_mean((scatter / expected).reshape(-1, leak.shape[2]), table.known.reshape(-1, leak.shape[2]))
     return Noise(variance=np.maximum(expected * level, least), leakage=leak, share=share * level)
+
+
+def beyond_blocks(
+    table: ResponseLines, fit: ResponseFit, noise: Noise, relative: FloatArray, n_averages: int | None
+) -> FloatArray:
+    """(n_poles,) what does not follow the inputs at each resonance, over what should not; 1 as a rule.
+
+    There blocks cut into answers that go on, which the model tells, and sensors are noisy, which the lines beside tell
+    (coherence falls by both). More is motion that the structure makes of other forces, of other frequencies (it is not
+    linear) or of a force that falls there; less, of a force that is uneven. The ratio is 1 where it is no surer than
+    that: 5 standard deviations of a mean of so many averages, and of the damping that the model was made with.
+
+    Args:
+        table: with coherence, else nothing is known.
+        fit: the model of it.
+        noise: of `noise_of`.
+        relative: (n_poles,) standard deviation of each damping over itself.
+        n_averages: as stated, None where the scatter has to tell.
+    """
+    ratios = np.ones(fit.poles.size)
+    if table.noise is None or not table.leaks:
+        return ratios
+    power = np.abs(table.values) ** 2
+    seen = np.where(table.known, table.noise * (power.sum(axis=2, keepdims=True) if table.together else power), 0.0)
+    floor = _median(np.maximum(seen - noise.leakage, 0), table.known)
+    expected = np.where(table.known, noise.leakage + floor, 0.0)
+    line = float(np.median(np.diff(np.angle(table.z))))
+    for r in np.flatnonzero(fit.is_pair):
+        s = np.log(fit.poles[r])
+        near = np.abs(np.angle(table.z) - abs(s)) <= max(2 * line, -s.real)
+        told = np.outer(np.abs(fit.shapes[:, r]) ** 2, np.abs(fit.inputs[r]) ** 2) * expected[near].any(axis=0)
+        if told.sum() > 0:
+            each = seen[near].sum(axis=0) / np.maximum(expected[near].sum(axis=0), TINY)
+            ratio = float((each * told).sum() / told.sum())
+            spread = np.hypot(np.sqrt(1 / n_averages if n_averages else noise.share.mean()), min(1.0, relative[r]) / 2)
+            ratios[r] = ratio if abs(np.log(max(ratio, TINY))) > SURE * spread else 1.0
+    return ratios
+
+
+def runs_on(table: ResponseLines, fit: ResponseFit, noise: Noise) -> BoolArray:
+    """(n_poles,) whether what the model leaves near each resonance runs on from line to line, as noise does not.
+
+    A resonance whose frequency or damping depends on its level is no sum of poles. The correlation over lines that no
+    window joins is held against that of drawn errors: further from their mean than 5 of their standard deviations. Not
+    asked of blocks that leak where no coherence tells how much: a linear structure failed it (white forces, 41184).
+    """
+    if table.leaks and table.noise is None:
+        return np.zeros(fit.poles.size, dtype=np.bool_)
+    rng, weight = np.random.default_rng(DRAWN), np.where(table.known, 1 / np.sqrt(noise.variance), 0.0)
+    reach, last = _reach(table)[-1], table.z.size - 1
+    angles = np.abs(np.log(fit.poles))
+    wide = np.where(fit.is_pair, -np.log(np.maximum(np.abs(fit.poles), TINY)), 0.0)
+    first, end = (np.searchsorted(np.angle(table.z), angles + side * wide) for side in (-1, 1))
+
+    def courses(left: ComplexArray) -> FloatArray:
+        found = []
+        for low, high in zip(np.maximum(first - NEAR, 0), np.minimum(end + NEAR, last), strict=True):
+            x = (weight * left)[low : high + 1]
+            power = max(float((np.abs(x) ** 2).sum()), TINY)
+            offsets = range(reach + 1, min(reach + 5, len(x)))
+            found.append(sum(abs(np.vdot(x[:-m], x[m:])) for m in offsets) / power)
+        return np.array(found)
+
+    drawn = np.array([courses(drawn_noise(table, fit, noise, rng)) for _ in range(DRAWN)])
+    off: BoolArray = courses(fit.left) > drawn.mean(axis=0) + SURE * drawn.std(axis=0)
+    return off & fit.is_pair & (angles >= np.angle(table.z[0])) & (angles <= np.angle(table.z[last]))
 
 
 def _split(scatter: FloatArray, parts: list[FloatArray], known: BoolArray, least: float) -> tuple[float, FloatArray]:

@@ -79,8 +79,13 @@ def settled_noise(table: ResponseLines, fit: ResponseFit, noise: Noise) -> tuple
         fit = refined(table, fit, weight_of(table, noise))
         noise = noise_of(table, fit)
     fit = refined(table, fit, weight_of(table, noise))
+    return fit, noise, likelihood_of(table, fit, noise)
+
+
+def likelihood_of(table: ResponseLines, fit: ResponseFit, noise: Noise) -> float:
+    """Logarithm of the likelihood of a table, less what is alike for all models."""
     variance = noise.variance[table.known]
-    return fit, noise, -float((np.abs(fit.left[table.known]) ** 2 / variance + np.log(variance)).sum())
+    return -float((np.abs(fit.left[table.known]) ** 2 / variance + np.log(variance)).sum())
 
 
 def first_weight(table: ResponseLines) -> FloatArray:

@@ -5,22 +5,39 @@ the table through the window -> order by evidence -> noise from coherence or sca
 again from halves of the averages, other lags and other orders -> verdict.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import scipy
 
 from era.balanced import HankelDecomposition, decompose, order_choice, realise_from
 from modal.estimation.cross_validation import hankel_limits
 from modal.estimation.force_dips import with_dips
-from modal.estimation.response_fit import ResponseFit, ResponseLines, Start, realised, refined, start_of
-from modal.estimation.response_noise import Noise, drawn_noise, lines_joined, noise_of, pole_deviations
+from modal.estimation.response_fit import (
+    ResponseFit,
+    ResponseLines,
+    Start,
+    lines_of,
+    on_grid,
+    realised,
+    refined,
+    start_of,
+)
+from modal.estimation.response_noise import (
+    Noise,
+    beyond_blocks,
+    drawn_noise,
+    lines_joined,
+    noise_of,
+    pole_deviations,
+    runs_on,
+)
 from modal.estimation.response_order import (
     QUICK,
     evidence_of,
     first_weight,
+    likelihood_of,
     lines_fit,
     most_states,
     schwarz,
@@ -33,18 +50,16 @@ from modal.identification.result import Identification, OrderEvidence
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import Choice, Fit, ModalModel
 from modal.preparation.faults import living_response
-from modal.verdict.judgement import Rerun, Reruns, judge
+from modal.verdict.judgement import Rerun, Reruns, blurred, judge, scattered
 from modal.verdict.stabilisation import stabilisation
 from modal.wording.text import LEAST_FIT, counted, hertz
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray, listener, one_blas_thread, whole_number
-from okid.errors import InsufficientDataError, InvalidDataError
+from okid.errors import InsufficientDataError
 from okid.frequency_response import (
     FrequencyResponse,
     ResponseWindow,
-    block_length,
-    line_spacing,
     pulse_response,
-    window_autocorrelation,
+    with_missing_lines,
 )
 from okid.markov import MarkovParameters
 
@@ -126,23 +141,24 @@ def identify_response(
     if order != "auto":
         order = whole_number(order, name="order", least=1, otherwise='or "auto"')
     tell = listener(progress)
-    response, dead = living_response(response)
+    given, dead = living_response(response)
+    response = with_missing_lines(given)
     with one_blas_thread():
         tell("fitting the responses", 0.0)
-        windows = (response.window,) if response.window != "unknown" else TRIED
+        windows = (response.window,) if response.window != "unknown" else TRIED if on_grid(response) else ("periodic",)
         found = _search(response, windows[0], order, BETWEEN)
         if _likelihood_through(windows[0], found, 1) > found.likelihood:
             found = _search(response, windows[0], order, 1)
+        found = _under_dips(found)  # before windows are compared: a dip passes for another window, and it for a dip
         # with as many poles, so that only the window differs
         tried = {window: _likelihood_through(window, found, found.finer) for window in windows[1:]}
         tried = {windows[0]: found.likelihood, **tried}
         best = max(tried, key=lambda window: tried[window])
         if best != windows[0]:
-            found = _search(response, best, order, found.finer)
-        found = _under_dips(found)
+            found = _under_dips(_search(response, best, order, found.finer))
         tell("identifying again with halves of the averages, other lags and orders", 0.6)
         result = _judged(found, order, tried)
-        result = replace(result, warnings=(*dead, *result.warnings))
+        result = replace(result, response=given, warnings=(*dead, *result.warnings))
         tell("done", 1.0)
     return result
 
@@ -151,7 +167,7 @@ def _search(
     response: FrequencyResponse, window: ResponseWindow, order: int | Literal["auto"], finer: int = 1
 ) -> _Found:
     """Model of the order that the evidence favours, refined, with the noise of the table about it."""
-    table, grid = _table(response, window, finer)
+    table, grid = lines_of(response, window, finer)
     markov, found = _realisations(table, response.frequencies, grid, response)
     largest = min(found.rank, found.max_order)
     if largest < 1:
@@ -215,65 +231,46 @@ def _under_dips(found: _Found) -> _Found:
     """The same, or the model that goes with a force that dips where such a one makes the table likelier."""
     table, weight = found.table, weight_of(found.table, found.noise)
     models = [found.fit, *(refined(table, start, weight, n_steps=QUICK) for start in found.fewer)]
-    best = with_dips(
+    best = _dips(table, models)
+    if best is None:
+        return found
+    number, fit, moved = best
+    noise = noise_of(table, fit)
+    return replace(
+        found,
+        fit=fit,
+        noise=noise,
+        under_white=models[number],
+        moved=moved,
+        order=fit.order,
+        likelihood=likelihood_of(table, fit, noise),
+    )
+
+
+def _dips(table: ResponseLines, models: Sequence[ResponseFit]) -> tuple[int, ResponseFit, FloatArray] | None:
+    return with_dips(
         table,
         models,
         lambda fit: weight_of(table, noise_of(table, fit)),
         lambda error, n_parameters: schwarz(table, error, n_parameters),
     )
-    if best is None:
-        return found
-    number, fit, moved = best
-    under_white = models[number]
-    noise = noise_of(table, fit)
-    return replace(found, fit=fit, noise=noise, under_white=under_white, moved=moved, order=fit.order)
 
 
 def _likelihood_through(window: ResponseWindow, found: _Found, finer: int) -> float:
     """Of the table through another window, or described by other steps, from the poles that were found."""
-    table, _ = _table(found.response, window, finer)
-    poles = np.log(found.fit.poles) * (table.dt / found.table.dt)
+    table, _ = lines_of(found.response, window, finer)
+    white = found.under_white
+    poles = np.log(white.poles) * (table.dt / found.table.dt)
     there = np.abs(poles.imag) < np.pi
     if not there.any():
         return -np.inf
     weight = weight_of(table, found.noise)
-    fit = refined(table, (np.exp(poles[there]), found.fit.is_pair[there], found.fit.inputs[there]), weight)
-    return settled_noise(table, fit, noise_of(table, fit))[2]
-
-
-def _table(response: FrequencyResponse, window: ResponseWindow, finer: int = 1) -> tuple[ResponseLines, FloatArray]:
-    """The table in channels of comparable size, and the lines (0 Hz to the last) that its pulse response is made of."""
-    noise, trust, together = _noise(response)
-    known = np.isfinite(response.response) & (trust > 0)
-    values = np.where(known, response.response, 0.0)
-    trusted = np.abs(values * trust) ** 2
-    out = np.sqrt(_mean(trusted, known, (0, 2)))
-    out = np.where(out > 0, out, 1.0)
-    into = np.sqrt(_mean(trusted / out[:, np.newaxis] ** 2, known, (0, 1)))
-    into = 1 / np.where(into > 0, into, 1.0)
-    f = response.frequencies
-    dt, lags, first, grid = 0.5 / float(f[-1]) / finer, None, 0, f
-    try:
-        first = round(float(f[0]) / line_spacing(response))
-        n_samples, first = block_length(response, dt if first or finer > 1 else None)
-        lags = None if window == "periodic" else window_autocorrelation(response, n_samples, window=window)
-    except InvalidDataError:  # no uniform grid: the start comes from resampled lines, and the window cannot be known
-        grid, window = np.linspace(0.0, f[-1], f.size)[np.linspace(0.0, f[-1], f.size) >= f[0]], "periodic"
-    table = ResponseLines(
-        values=np.asarray(values * into / out[:, np.newaxis], dtype=np.complex128),
-        known=known,
-        z=np.exp(2j * np.pi * f * dt),
-        dt=dt,
-        lags=lags,
-        first=first,
-        window=window,
-        noise=noise,
-        trust=trust,
-        together=together,
-        output_scale=out,
-        input_scale=into,
-    )
-    return table, grid
+    fit = refined(table, (np.exp(poles[there]), white.is_pair[there], white.inputs[there]), weight)
+    fit, _, likelihood = settled_noise(table, fit, noise_of(table, fit))
+    under = None if found.fit is white else _dips(table, [fit])
+    if under is None:
+        return likelihood
+    return max(likelihood, likelihood_of(table, under[1], noise_of(table, under[1])))
 
 
 def _realisations(
@@ -297,10 +294,6 @@ def _realisations(
     return markov, decompose(markov, max_order=min(LARGEST_ORDER, most, *hankel_limits(markov)))
 
 
-def _mean(values: FloatArray, known: BoolArray, axis: tuple[int, int]) -> FloatArray:
-    return np.asarray((values * known).sum(axis=axis) / np.maximum(1, known.sum(axis=axis)), dtype=np.float64)
-
-
 def _resampled(values: ComplexArray, known: BoolArray, f: FloatArray, grid: FloatArray) -> ComplexArray:
     """Every response on a grid, straight lines between the lines that were measured."""
     result = np.empty((grid.size, *values.shape[1:]), dtype=np.complex128)
@@ -308,24 +301,6 @@ def _resampled(values: ComplexArray, known: BoolArray, f: FloatArray, grid: Floa
         there = known[:, q, i]
         result[:, q, i] = np.interp(grid, f[there], values[there, q, i]) if there.any() else 0.0
     return result
-
-
-def _noise(response: FrequencyResponse) -> tuple[FloatArray | None, FloatArray, bool]:
-    """(1 - coherence) / coherence of each value; its coherence beyond chance; whether all inputs acted at once.
-
-    Beyond chance is nothing, 0, where noise alone has such a coherence in one of twenty lines: no input moved there.
-    """
-    coherence, shape = response.coherence, response.response.shape
-    if coherence is None:
-        return None, np.ones(shape), False
-    together = coherence.ndim == 2 and response.n_inputs > 1
-    whole = coherence[:, :, np.newaxis] if coherence.ndim == 2 else coherence
-    whole = np.broadcast_to(np.clip(np.where(np.isnan(whole), np.nanmedian(whole), whole), 1e-9, 1.0), shape)
-    chance, n = (response.n_inputs if together else 1), response.n_averages  # of noise alone it is chance / n
-    beyond = 1 - (1 - whole) * n / (n - chance) if n is not None and n > chance else whole
-    if n is not None and n > chance:
-        beyond = np.where(whole > scipy.special.betaincinv(chance, n - chance, 0.95), beyond, 0.0)
-    return 1 / whole - 1, np.maximum(beyond, 0.0), together
 
 
 def _fitted(table: ResponseLines, found: HankelDecomposition, order: int, weight: FloatArray) -> ResponseFit:
@@ -358,6 +333,11 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
     white = found.under_white
     unjudged = _with_deviations(extract_modes(realised(white, table)), white, table, frequency_std, damping_std)
     reruns, folds, held_out = _again(found)
+    ratios, onward = np.ones(fit.poles.size), np.zeros(fit.poles.size, dtype=np.bool_)
+    if fit is white:  # else it is told how the force falls
+        of_damping = damping_std / np.maximum(-np.log(np.abs(fit.poles)) / np.abs(np.log(fit.poles)), TINY)
+        ratios = beyond_blocks(table, fit, noise, of_damping, found.response.n_averages)
+        onward = runs_on(table, fit, noise)
     weight = weight_of(table, noise)
     whole = lines_fit(fit.left, table, weight)
     measured = Fit(cross_validated=held_out, folds=folds, whole=whole, one_step=np.full(whole.size, np.nan))
@@ -369,7 +349,12 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
         fit=measured.mean,
         is_table=True,
     )
-    modes = _named(_in_these_words(_within(found.response, _moved(modes, found))), found.response)
+    modes = _within(found.response, _moved(modes, found))
+    of_mode = [int(np.abs(fit.poles - np.exp(mode.pole * table.dt)).argmin()) for mode in modes.modes]
+    modes, beyond = scattered(
+        modes, ratios[of_mode], onward[of_mode], found.response.frequencies, several_forces=found.response.n_inputs > 1
+    )
+    modes = _named(_in_these_words(modes), found.response)
     tried_orders = sorted(found.fits)
     highest = realise_from(found.decomposition, min(found.decomposition.rank, found.decomposition.max_order))
     scale = table.output_scale[:, np.newaxis] / table.input_scale
@@ -396,7 +381,7 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
         fit=measured,
         simulated=(),
         predicted=(),
-        warnings=(*_warnings(found, modes, measured, tried), *([FORCE_DIPS] if fit is not white else [])),
+        warnings=(*_warnings(found, modes, measured, tried), *beyond, *([FORCE_DIPS] if fit is not white else [])),
     )
 
 
@@ -435,7 +420,11 @@ def _moved(modes: ModalModel, found: _Found) -> ModalModel:
 
 
 def _within(response: FrequencyResponse, modes: ModalModel) -> ModalModel:
-    """Poles whose resonance lies outside the lines called noise: they stand for all that lies there."""
+    """Poles whose resonance lies outside the lines called noise: they stand for all that lies there.
+
+    Resonances that a window widened which could not be taken into account are doubtful: their damping is the window's,
+    and what is left of its main lobe is described by a second pole.
+    """
     first, last = response.frequencies[[0, -1]]
     judged = []
     for mode in modes.modes:
@@ -446,7 +435,10 @@ def _within(response: FrequencyResponse, modes: ModalModel) -> ModalModel:
         )
         outside = replace(mode, verdict="noise", probability=0.0, damping_resolved=False, reason=reason)
         judged.append(mode if inside else outside)
-    return replace(modes, modes=tuple(judged))
+    modes = replace(modes, modes=tuple(judged))
+    if on_grid(response) or response.window in {"unknown", "periodic", "exponential"}:
+        return modes
+    return blurred(modes, response.frequencies, f"that of a {response.window} window at such lines")
 
 
 def _in_these_words(modes: ModalModel) -> ModalModel:
@@ -532,7 +524,9 @@ def _choices(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWi
     table, response = found.table, found.response
     if len(tried) == 1 and table.window == response.window:
         why = "as the responses state it"
-    elif table.lags is None and table.window != response.window and "periodic" not in tried:
+    elif not on_grid(response) and response.window == "unknown":
+        why = "the lines lie on no uniform grid, as those of a stepped sine, which has no window"
+    elif not on_grid(response):
         why = f"the lines lie on no uniform grid, so the window that was stated ({response.window}) has no lags"
     else:
         most = max(tried.values())
@@ -576,7 +570,10 @@ def _warnings(found: _Found, modes: ModalModel, fit: Fit, tried: dict[ResponseWi
     if table.window != response.window and len(tried) == 1:
         words.append(
             "The lines lie on no uniform grid, so the window of the blocks could not be taken into account: damping "
-            "ratios may be too high."
+            "ratios may be too high. Export the lines as they were averaged."
+            if response.window != "unknown"
+            else "The lines lie on no uniform grid and no window is stated: they are taken for a stepped sine's. Where "
+            "they were interpolated between averaged ones, damping is too high: export those."
         )
     if response.frequencies[0] > 2 * (response.frequencies[1] - response.frequencies[0]):
         words.append(

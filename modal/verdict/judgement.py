@@ -16,6 +16,7 @@ their sum is. Modes within each other's half-power bandwidth that have the same 
 the most energy, and the group's summed pulse response is compared with the sum of the same band in the other runs.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -23,6 +24,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from modal.estimation.force_dips import NARROW
 from modal.modes.extraction import NOT_JUDGED, remarks
 from modal.modes.mode import ModalModel, Mode, Verdict
 from modal.modes.shape_comparison import (
@@ -53,6 +55,7 @@ from modal.verdict.probability import (
     unanswered_doubt,
     unexcited_doubt,
 )
+from modal.wording.text import hertz, listed, times
 from okid.arrays import BoolArray, FloatArray
 from okid.excitation import Excitation
 
@@ -133,6 +136,21 @@ LEAST_PART = 0.42
 NOT_FOUND_BELOW = 0.1
 """Overlap that counts as not found at all."""
 SAME_FREQUENCY = 0.01
+
+UNEVEN = (
+    "Near {where} Hz what does not follow the inputs is {times} what blocks of this length leave of a linear "
+    "structure under even forces: the measured forces fall there, as those of shakers do which the structure loads, or "
+    "it is not linear. Average over longer blocks{or_one}."
+)
+SCATTERED = (
+    "Near {where} Hz what does not follow the inputs is {times} what blocks of this length and the sensors' "
+    "noise leave of a linear structure: it is not linear, changed during the test, or other forces act. The modes are "
+    "those of this level of force. Test at half of it and compare them."
+)
+RUNS_ON = (
+    "Near {where} Hz what the model leaves of the responses runs on from line to line, as noise does not: it "
+    "is not linear there (its answer depends on the level) or changed during the test, or modes are missing."
+)
 
 FOUND_AGAIN = "found again: "
 """Begin the reason of a mode of the system with this, before the overlap under each change."""
@@ -332,6 +350,80 @@ def judge(
             )
         )
     return replace(model, modes=tuple(modes))
+
+
+def blurred(modes: ModalModel, frequencies: FloatArray, what: str) -> ModalModel:
+    """The same, resonances doubtful that are narrower than what windows mix, where it is not known what they mixed.
+
+    Args:
+        modes: judged.
+        frequencies: lines of the table [Hz].
+        what: that they are.
+    """
+    judged = []
+    for mode in modes.modes:
+        band = 2 * mode.damping_ratio * mode.frequency
+        lines = float(np.interp(mode.frequency, frequencies[1:], np.diff(frequencies)))
+        narrow = mode.kind == "oscillatory" and band < NARROW * lines
+        judged.append(_doubted(mode, f"its half-power band of {hertz(band)} Hz is {what}") if narrow else mode)
+    return replace(modes, modes=tuple(judged))
+
+
+def _doubted(mode: Mode, reason: str) -> Mode:
+    if mode.verdict != "system":
+        return mode
+    return replace(
+        mode,
+        verdict="doubtful",
+        probability=min(mode.probability, DOUBTED),
+        damping_resolved=False,
+        doubts=(("data", reason),),
+        reason=f"{reason}; {mode.reason}",
+    )
+
+
+def scattered(
+    modes: ModalModel, ratios: FloatArray, onward: BoolArray, frequencies: FloatArray, *, several_forces: bool
+) -> tuple[ModalModel, list[str]]:
+    """The same, modes doubted where coherence is not what blocks leave of a linear structure; and why.
+
+    A resonance that is not linear is described by several poles, of one shape or a broad one beneath: the strongest
+    stands.
+
+    Args:
+        modes: judged.
+        ratios: (n_modes,) of `modal.estimation.response_noise.beyond_blocks`.
+        onward: (n_modes,) of `runs_on` there.
+        frequencies: lines of the table [Hz].
+        several_forces: whether the table has several references, whose falls are not described.
+    """
+    system = np.array([mode.verdict == "system" for mode in modes.modes], dtype=np.bool_)
+    off, words = system & (ratios != 1), []
+    if off.any():
+        known = {
+            "where": _where(modes, off),
+            "times": " to ".join(dict.fromkeys(times(value) for value in (min(ratios[off]), max(ratios[off])))),
+        }
+        if several_forces or min(ratios[off]) < 1:
+            or_one = ", or identify from one reference at a time" if several_forces else ""
+            narrow = blurred(modes, frequencies, "narrower than what such forces blur")
+            return narrow, [UNEVEN.format(or_one=or_one, **known)]
+        words.append(SCATTERED.format(**known))
+    if (system & onward).any():
+        words.append(RUNS_ON.format(where=_where(modes, system & onward)))
+    again = list(modes.modes)
+    for i, k in itertools.permutations(np.flatnonzero(system & (off | onward)).tolist(), 2):
+        one, other = modes.modes[i], modes.modes[k]
+        apart = abs(one.frequency - other.frequency)
+        alike = assurance(one.shape[:, np.newaxis], other.shape[:, np.newaxis])[0, 0] >= SAME_SHAPE
+        within = apart < one.damping_ratio * one.frequency  # broad, with the other one in it
+        if apart < LARGEST_BAND * other.frequency and one.gain < other.gain and (alike or within):
+            again[i] = _doubted(one, f"second pole of the mode at {hertz(other.frequency)} Hz, which is not linear")
+    return replace(modes, modes=tuple(again)), words
+
+
+def _where(modes: ModalModel, which: BoolArray) -> str:
+    return listed([hertz(modes.modes[i].frequency) for i in np.flatnonzero(which)])
 
 
 def _shown_share(mode: Mode, shares: FloatArray, scale: FloatArray) -> float:

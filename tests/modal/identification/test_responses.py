@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import scipy.signal
-from response_tables import averaged, drawn_structure, held_response, table_of
+from response_tables import averaged, distorted_chain, drawn_structure, held_response, table_of
 from typer.testing import CliRunner
 
 import modal
@@ -88,6 +88,105 @@ def test_damping_is_not_that_of_the_window(window):
         assert abs(mode.frequency - f) < 5 * mode.frequency_std
         assert abs(mode.damping_ratio - d) < 5 * mode.damping_ratio_std < d
     assert any("window of the blocks is not stated" in text for text in result.warnings) == (window == "unknown")
+
+
+def test_lines_left_out_of_a_table_leave_its_window():
+    """Every resonance had become two modes, with up to five times its damping."""
+    test = table_of(7, window="hann", n_samples=512)
+    kept = np.random.default_rng(1).random(len(test.frequencies)) < 0.6
+    known = {"coherence": test.coherence[kept], "n_averages": test.n_averages, "window": "hann"}
+    result = modal.identify(FrequencyResponse(test.response[kept], test.frequencies[kept], **known))
+    assert result.response.n_lines == kept.sum()
+    assert not result.warnings
+    assert len(result.modes.system) == 5
+    for mode, f, d in zip(result.modes.system, test.true_frequencies, test.true_damping, strict=True):
+        assert abs(mode.frequency - f) < 4 * mode.frequency_std
+        assert abs(mode.damping_ratio - d) < 4 * mode.damping_ratio_std
+
+
+@pytest.mark.parametrize(
+    ("stated", "said"), [("hann", "Export the lines as they were averaged"), ("unknown", "stepped")]
+)
+def test_what_a_window_did_to_lines_on_no_grid_is_not_certain(stated, said):
+    """Seven modes of 0.7 to 2.8 % damping were certain where five of 0.2 to 0.4 % are."""
+    test = table_of(7, window="hann", n_samples=512)
+    grid = np.geomspace(2.0, 49.0, 300)
+    lines = [np.interp(grid, test.frequencies, one) for one in test.response.reshape(len(test.frequencies), -1).T]
+    result = modal.identify(FrequencyResponse(np.array(lines).T.reshape(300, 6, 2), grid, window=stated))
+    assert any(said in words for words in result.warnings)
+    if stated == "hann":
+        assert not result.modes.system
+        assert not any(mode.damping_resolved for mode in result.modes if "that of a hann window" in mode.reason)
+
+
+def test_dips_of_the_force_are_no_window():
+    """Where none was stated, whole periods were the most likely, and damping was certain at three times the truth."""
+    test = table_of(3, n_samples=512, length=16384, kind="shaker")
+    result = modal.identify(FrequencyResponse(test.response, test.frequencies))
+    assert next(choice.value for choice in result.choices if choice.what == "window") == "hann"
+    assert len(result.modes.system) >= 2
+    for mode in result.modes.system:
+        nearest = np.abs(test.true_frequencies - mode.frequency).argmin()
+        assert abs(mode.damping_ratio / test.true_damping[nearest] - 1) < 0.3
+
+
+def identified_chain(seed, **distortion):
+    test = distorted_chain(seed, **distortion)
+    known = {"coherence": test.coherence, "n_averages": test.n_averages, "window": "hann"}
+    return modal.identify(FrequencyResponse(test.response, test.frequencies, **known))
+
+
+@pytest.mark.parametrize(
+    ("seed", "distortion", "n_system"),
+    [(2, {"cubic": 0.03}, 3), (1, {"friction": 0.1}, 3), (3, {}, 3)],
+    ids=["cubic", "friction", "linear"],
+)
+def test_a_structure_that_is_not_linear_is_told_by_its_coherence(seed, distortion, n_system):
+    """Without a word, a cubic spring made a fourth mode of three, p 0.98."""
+    result = identified_chain(seed, **distortion)
+    said = [words for words in result.warnings if "what does not follow the inputs" in words]
+    assert len(said) == bool(distortion)
+    assert all("not linear" in words for words in said)
+    assert len(result.modes.system) <= n_system
+
+
+def stepped_sine(cubic, friction, *, n_lines=400, noise=0.003):
+    """Two modes under a constant force, a spring and a joint at the first point by their describing functions."""
+    frequencies, damping = np.array([9.0, 14.0]), np.array([0.005, 0.01])
+    shapes = np.array([[1.0, 0.4], [-0.6, 1.0], [0.3, 0.8]])
+    w = 2 * np.pi * frequencies
+    grid = np.linspace(4.0, 20.0, n_lines)
+    receptance = [shapes @ np.diag(1 / (w**2 - x**2 + 2j * damping * w * x)) @ shapes.T for x in 2 * np.pi * grid]
+    largest = max(abs(one[0, 1]) for one in receptance)
+    table, motion = np.empty((n_lines, 3), dtype=complex), 0j
+    for line, one in enumerate(receptance):
+        for _ in range(300):
+            size = abs(motion) / largest
+            stiffness = w[0] ** 2 * (cubic * size**2 + 1j * friction / max(size, 0.02))
+            motion += 0.3 * (one[0, 1] / (1 + stiffness * one[0, 0]) - motion)
+        table[line] = one[:, 1] - one[:, 0] * stiffness * motion
+    rng = np.random.default_rng(8)
+    spread = noise * np.sqrt((np.abs(table) ** 2).mean(axis=0) / 2)
+    return FrequencyResponse(table + spread * (rng.standard_normal((n_lines, 3, 2)) @ [1, 1j]), grid, window="periodic")
+
+
+@pytest.mark.parametrize(("cubic", "friction"), [(0.02, 0.0), (0.0, 0.003), (0.0, 0.0)])
+def test_a_resonance_that_depends_on_its_level_is_told_by_what_is_left_of_it(cubic, friction):
+    result = modal.identify(stepped_sine(cubic, friction))
+    assert any("runs on from line to line" in words for words in result.warnings) == (cubic + friction > 0)
+    assert len(result.modes.system) == 2
+
+
+def test_several_shakers_whose_forces_dip_make_nothing_certain():
+    """Dampings of 0.00 and +48 %, ten deviations off, were certain; so was a mode that does not exist."""
+    test = table_of(31, kind="shakers")
+    known = {"coherence": test.coherence, "n_averages": test.n_averages, "window": "hann"}
+    result = modal.identify(FrequencyResponse(test.response, test.frequencies, **known))
+    assert any("the measured forces fall there" in words for words in result.warnings)
+    for mode in result.modes.system:
+        nearest = np.abs(test.true_frequencies - mode.frequency).argmin()
+        assert abs(mode.frequency - test.true_frequencies[nearest]) < 4 * mode.frequency_std
+        assert abs(mode.damping_ratio - test.true_damping[nearest]) < 4 * mode.damping_ratio_std
 
 
 def identified_shaker(seed):
