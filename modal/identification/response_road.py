@@ -147,15 +147,13 @@ def identify_response(
         tell("fitting the responses", 0.0)
         windows = (response.window,) if response.window != "unknown" else TRIED if on_grid(response) else ("periodic",)
         found = _search(response, windows[0], order, BETWEEN)
-        if _likelihood_through(windows[0], found, 1) > found.likelihood:
+        if _likelihood_between(found) > found.likelihood:
             found = _search(response, windows[0], order, 1)
-        found = _under_dips(found)  # before windows are compared: a dip passes for another window, and it for a dip
-        # with as many poles, so that only the window differs
-        tried = {window: _likelihood_through(window, found, found.finer) for window in windows[1:]}
-        tried = {windows[0]: found.likelihood, **tried}
-        best = max(tried, key=lambda window: tried[window])
-        if best != windows[0]:
-            found = _under_dips(_search(response, best, order, found.finer))
+        # each with its own poles, and under a force with dips if there is one: a dip passes for another window
+        others = (_search(response, window, order, found.finer) for window in windows[1:])
+        each = [_under_dips(one) for one in (found, *others)]
+        tried = {one.table.window: one.likelihood for one in each}
+        found = max(each, key=lambda one: one.likelihood)
         tell("identifying again with halves of the averages, other lags and orders", 0.6)
         result = _judged(found, order, tried)
         result = replace(result, response=given, warnings=(*dead, *result.warnings))
@@ -256,21 +254,17 @@ def _dips(table: ResponseLines, models: Sequence[ResponseFit]) -> tuple[int, Res
     )
 
 
-def _likelihood_through(window: ResponseWindow, found: _Found, finer: int) -> float:
-    """Of the table through another window, or described by other steps, from the poles that were found."""
-    table, _ = lines_of(found.response, window, finer)
-    white = found.under_white
-    poles = np.log(white.poles) * (table.dt / found.table.dt)
+def _likelihood_between(found: _Found) -> float:
+    """Of the table without steps between its lines' own, from the poles that were found."""
+    table, _ = lines_of(found.response, found.table.window, 1)
+    fit = found.fit
+    poles = np.log(fit.poles) * (table.dt / found.table.dt)
     there = np.abs(poles.imag) < np.pi
     if not there.any():
         return -np.inf
-    weight = weight_of(table, found.noise)
-    fit = refined(table, (np.exp(poles[there]), white.is_pair[there], white.inputs[there]), weight)
-    fit, _, likelihood = settled_noise(table, fit, noise_of(table, fit))
-    under = None if found.fit is white else _dips(table, [fit])
-    if under is None:
-        return likelihood
-    return max(likelihood, likelihood_of(table, under[1], noise_of(table, under[1])))
+    start = (np.exp(poles[there]), fit.is_pair[there], fit.inputs[there])
+    fit = refined(table, start, weight_of(table, found.noise))
+    return settled_noise(table, fit, noise_of(table, fit))[2]
 
 
 def _realisations(
