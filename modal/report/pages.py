@@ -48,8 +48,14 @@ if TYPE_CHECKING:
 class PageLimits:
     """How much a page shows."""
 
+    MOST_NODES: Final = 1500
+    """Nodes of a structure that a page turns smoothly; a larger one is left to the recording."""
+    MOST_DEFLECTIONS: Final = 12_000
+    """Nodes times modes: about half a megabyte of the page. Of a large structure fewer modes can be chosen."""
     MOST_SUMMED_UP: Final = 10
     """Modes of the system on the page of the verdict; the table of all poles has all of them."""
+    MOST_CHANNELS: Final = 10
+    """Show so many channels, the worst first; the others are folded."""
     MOST_FINDINGS: Final = 40
     """Findings on the data that are shown, the worst first."""
 
@@ -73,8 +79,8 @@ def moving_shapes(result: Identification, setting: Setting) -> "Markup | str":
 
     placement = placement_of(result, setting)
     geometry = placement.geometry
-    modes = result.modes.system[: min(24, 12_000 // max(1, geometry.n_nodes))]  # about half a megabyte of the page
-    if not modes or geometry.n_nodes > 1500:  # a larger one is left to the recording
+    modes = result.modes.system[: min(24, PageLimits.MOST_DEFLECTIONS // max(1, geometry.n_nodes))]
+    if not modes or geometry.n_nodes > PageLimits.MOST_NODES:
         return ""
     deflections = [placement.deflection(mode) for mode in modes]
     centre = (geometry.positions.max(axis=0) + geometry.positions.min(axis=0)) / 2
@@ -294,7 +300,7 @@ def _data_values(result: Identification, setting: Setting) -> dict[str, object]:
     return {
         "about": about_lines(setting.specification),
         "channels": channel_rows(result, setting.specification, quality),
-        "most_channels": 10,  # the others are folded
+        "most_channels": PageLimits.MOST_CHANNELS,
         "sensor_columns": sensor_columns(setting.specification),
         "quality": quality,
         "quality_of": setting.quality_of,
