@@ -112,18 +112,14 @@ def as_inputs(values: npt.ArrayLike, n_samples: int) -> FloatArray:
 
 
 def check_lengths(inputs: FloatArray, outputs: FloatArray) -> None:
-    """Raise unless there are samples and outputs, as many rows of both, and no more outputs than rows.
-
-    More inputs than rows are a table that lies on its side only where the outputs have other rows: in what is left of a
-    short record its outputs may stand among its inputs.
-    """
+    """Raise unless there are samples and outputs, as many rows of both, and no more channels than rows."""
     if outputs.shape[1] == 0 or len(outputs) == 0:
         raise InvalidDataError(
             f"a record needs at least one output and one sample, but its outputs have the shape {outputs.shape}."
         )
     for kind, array in (("inputs", inputs), ("outputs", outputs)):
         n_samples, n_channels = array.shape
-        if n_channels > n_samples and (kind == "outputs" or n_samples != len(outputs)):
+        if n_channels > n_samples:
             raise InvalidDataError(
                 f"{kind} have {n_channels} channels but only {n_samples} samples; rows are samples, so pass {kind}.T."
             )
