@@ -254,3 +254,13 @@ def test_forces_that_nobody_measured_are_the_noise_of_modes_that_the_inputs_hard
         i = np.abs(case.system.frequencies - mode.frequency).argmin()
         assert abs(mode.frequency - case.system.frequencies[i]) < 4.0 * mode.frequency_std
         assert abs(mode.damping_ratio - case.system.damping_ratios[i]) < 4.0 * mode.damping_ratio_std
+
+
+def test_a_far_too_long_observer_makes_no_model_of_many_states_of_ambient_motion():
+    """Two modes, and five sensors with noise of one or two states each, so 14 states at most."""
+    case = noise_record("coloured", system=60203, record=0)
+    result = identify(Record([], case.outputs, case.system.dt), observer_order=90)
+    assert result.fitted_model.order <= 20
+    certain = np.array([mode.frequency for mode in result.modes.system])
+    for true in case.system.frequencies:
+        assert abs(certain / true - 1.0).min() < 0.01
