@@ -106,11 +106,10 @@ def noise_model(
         order_given: without inputs too, keep the number of states.
         progress: called with the share that is behind at most, before each step.
     """
-    if not all(record.complete_rows().all() for record in records):
-        return None, "outputs are missing, and a predictor needs every one of them"
+    why_not = _why_not_foretold(records)
+    if why_not:
+        return None, why_not
     records = [record for record in records if can_be_foretold(record)]
-    if not records:
-        return None, "no record has as many rows as a predictor has channels"
     scaling = channel_scaling(records)
     scaled = tuple(scaled_record(record, scaling) for record in records)
     rows = tuple(record.complete_rows() for record in records)
@@ -149,6 +148,13 @@ def noise_model(
     reason = f"criterion {gained:.3g} below that of output error" if start.n_inputs else "no input was measured"
     reason = "the outputs seem to be fed back into the inputs" if feedback else reason
     return model, f"maximum likelihood, {reason}; its errors are white (ratio {ratio:.2f})"
+
+
+def _why_not_foretold(records: Sequence[Record]) -> str:
+    """In words, why no predictor of the outputs can be fitted; nothing where one can."""
+    if not all(record.complete_rows().all() for record in records):
+        return "outputs are missing, and a predictor needs every one of them"
+    return "" if any(map(can_be_foretold, records)) else "no record has as many rows as a predictor has channels"
 
 
 def _least_criterion(reference: LikeliestFit, model: Realisation, data: OutputError) -> float:
