@@ -7,7 +7,15 @@ import numpy as np
 
 from era.realisation import Realisation
 from modal.estimation.cross_validation import Trial, scaled_model
-from modal.estimation.free_run import ModalForm, driven_by_outputs, filled, free_run, modal_form, one_step_predictor
+from modal.estimation.free_run import (
+    ModalForm,
+    can_be_foretold,
+    driven_by_outputs,
+    filled,
+    free_run,
+    modal_form,
+    one_step_predictor,
+)
 from modal.modes.mode import Fit
 from okid.arrays import BoolArray, FloatArray
 from okid.errors import NumericalError
@@ -22,7 +30,7 @@ class ModelRuns:
     Attributes:
         records: the records with the level at which the model rests taken off the outputs.
         simulated: free runs (without inputs: one-step predictions).
-        predicted: one-step predictions; the free runs where the model has no usable gain.
+        predicted: one-step predictions; the free runs where the model has no usable gain or the record hardly a row.
     """
 
     records: tuple[Record, ...]
@@ -59,7 +67,7 @@ def model_runs(realisation: Realisation, records: Sequence[Record]) -> ModelRuns
         there = record.complete_rows()
         free, level = _run(runner, unit, there)
         one_step = free
-        if record.n_inputs and predictor is not None:
+        if record.n_inputs and predictor is not None and can_be_foretold(record):
             one_step, _ = _run(predictor, replace(unit, outputs=unit.outputs - level), there)
             one_step = one_step + level
         levelled.append(replace(record, outputs=record.outputs - level * scaling.output_scale))

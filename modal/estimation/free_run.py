@@ -539,6 +539,11 @@ def one_step_predictor(realisation: Realisation) -> Realisation:
     )
 
 
+def can_be_foretold(record: Record) -> bool:
+    """Whether the record has as many rows as `one_step_predictor` has channels: fewer hold nothing of the noise."""
+    return record.n_samples >= record.n_inputs + record.n_outputs
+
+
 def driven_by_outputs(record: Record) -> Record:
     """The record with its outputs among its inputs, for `one_step_predictor`; gaps are bridged."""
     twin = replace(

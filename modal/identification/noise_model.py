@@ -19,6 +19,7 @@ import scipy
 from era.realisation import Realisation
 from modal.estimation.cross_validation import scaled_model, scaled_record
 from modal.estimation.fits import fit_of, model_runs
+from modal.estimation.free_run import can_be_foretold
 from modal.estimation.modal_parameters import errors_of, in_data_states, starting_parameters
 from modal.estimation.modal_states import blocks_of
 from modal.estimation.output_error import OutputError, PolesAndParticipations, RefinementStep
@@ -97,7 +98,7 @@ def noise_model(
     """The innovation form where it is the likelier one, and in words why, or why not.
 
     Args:
-        records: as identified from.
+        records: as identified from; those with fewer rows than a predictor has channels are left out.
         start: the model with a gain, in their units.
         evidence: whose Hankel factors the result keeps.
         promised: fit of the free run on held-out rows.
@@ -105,8 +106,10 @@ def noise_model(
         order_given: without inputs too, keep the number of states.
         progress: called with the share that is behind at most, before each step.
     """
-    if not all(record.complete_rows().all() for record in records):
-        return None, "outputs are missing, and a predictor needs every one of them"
+    why_not = _why_not_foretold(records)
+    if why_not:
+        return None, why_not
+    records = [record for record in records if can_be_foretold(record)]
     scaling = channel_scaling(records)
     scaled = tuple(scaled_record(record, scaling) for record in records)
     rows = tuple(record.complete_rows() for record in records)
@@ -145,6 +148,13 @@ def noise_model(
     reason = f"criterion {gained:.3g} below that of output error" if start.n_inputs else "no input was measured"
     reason = "the outputs seem to be fed back into the inputs" if feedback else reason
     return model, f"maximum likelihood, {reason}; its errors are white (ratio {ratio:.2f})"
+
+
+def _why_not_foretold(records: Sequence[Record]) -> str:
+    """In words, why no predictor of the outputs can be fitted; nothing where one can."""
+    if not all(record.complete_rows().all() for record in records):
+        return "outputs are missing, and a predictor needs every one of them"
+    return "" if any(map(can_be_foretold, records)) else "no record has as many rows as a predictor has channels"
 
 
 def _least_criterion(reference: LikeliestFit, model: Realisation, data: OutputError) -> float:
@@ -219,15 +229,15 @@ def _candidates(
 ) -> Iterator[tuple[Realisation | None, int]]:
     """Of canonical variates, else the model; then with noise states, and of outputs that something else drives.
 
-    Their own criterion gives the order, no larger than the search tries, and then the model's where that is larger: a
-    smaller one leaves more.
+    Their own criterion gives the order, no larger than the search tries; where that leaves errors that are not white
+    the order grows, up to the model's.
     A realisation of what an observer recovers loses much of what its outputs' covariance tells: with 28 modes in 8
     outputs 96 steps from there ended below where the variates start.
     """
     made = False
     if variates is not None:
         own = min(variates.order, MODEL_ORDERS[-1])
-        for order in (model.order,) if order_given else (own, model.order) if own < model.order else (own,):
+        for order in (model.order,) if order_given else _growing(own, model.order):
             predictor = variates.predictor(order)
             made = made or predictor is not None
             yield predictor, variates.past
@@ -236,6 +246,22 @@ def _candidates(
     if reference is not None:
         yield _with_noise_states(model, reference), 0
         yield _driven_otherwise(model, reference.data), 0
+
+
+def _growing(own: int, most: int) -> list[int]:
+    """Orders from the first to the last, each by about half as large again, whole pairs more.
+
+    The smallest that leaves white errors is asked for: a long observer gives a model of many states, and what too many
+    states make of the noise may look like modes.
+
+    Example:
+        >>> _growing(6, 56), _growing(6, 4)
+        ([6, 10, 14, 22, 34, 50, 56], [6])
+    """
+    orders = [own]
+    while orders[-1] < most:
+        orders.append(min(most, orders[-1] + 2 * max(1, round(orders[-1] / 4))))
+    return orders
 
 
 def _with_noise_states(model: Realisation, reference: LikeliestFit) -> Realisation | None:

@@ -292,17 +292,20 @@ def follows_powers(records: Sequence[Record], runs: Sequence[Record], left: Sequ
         np.hstack([motion**2 - 1.0, motion**3 - 3.0 * motion]), np.cumsum([len(one) for one in left])[:-1]
     )
 
+    n_causes = n_inputs + powers[0].shape[1]
+
     def explained(shift: int) -> float:
-        beside = [
+        beside = [  # without stubs, of which no segment is made
             Record(
                 np.hstack([record.inputs, np.roll(own, shift * len(own) // (N_SHIFTS + 1), axis=0)]), rest, record.dt
             )
             for record, own, rest in zip(records, powers, left, strict=True)
+            if len(rest) >= n_segment
         ]
         spectra, n_averages = _spectra(beside, n_segment)
-        return float(_multiple_coherence(spectra, beside[0].n_inputs, n_averages, clip=False).mean())
+        return float(_multiple_coherence(spectra, n_causes, n_averages, clip=False).mean())
 
-    if n_inputs == 0 or _spectra(records, n_segment)[1] < 2 * (n_inputs + powers[0].shape[1]) + 2:
+    if n_inputs == 0 or n_causes > n_segment or _spectra(records, n_segment)[1] < 2 * n_causes + 2:
         return False
     return explained(0) > max(explained(shift) for shift in range(1, N_SHIFTS + 1))
 

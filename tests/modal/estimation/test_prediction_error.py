@@ -254,3 +254,12 @@ def test_forces_that_nobody_measured_are_the_noise_of_modes_that_the_inputs_hard
         i = np.abs(case.system.frequencies - mode.frequency).argmin()
         assert abs(mode.frequency - case.system.frequencies[i]) < 4.0 * mode.frequency_std
         assert abs(mode.damping_ratio - case.system.damping_ratios[i]) < 4.0 * mode.damping_ratio_std
+
+
+def test_a_far_too_long_observer_makes_no_mode_of_ambient_motion():
+    """Three modes, and eight states of the noise of six sensors."""
+    case = noise_record("coloured", system=61000, record=0)
+    result = identify(Record([], case.outputs, case.system.dt), observer_order=90)
+    assert result.fitted_model.order <= 1.3 * (6 + 8)
+    certain = np.array([mode.frequency for mode in result.modes.system])
+    np.testing.assert_allclose(certain, case.system.frequencies, rtol=0.01)

@@ -111,16 +111,19 @@ def test_weak_modes_far_above_the_noise_beside_them_are_found(drowned, monkeypat
     assert result.fit.mean > without.fit.mean - 0.01
 
 
-def test_a_stub_of_a_record_is_left_out_of_the_search(drowned):
+@pytest.mark.parametrize("length", [2, 3])
+def test_a_stub_of_a_record_is_left_out_of_the_search(drowned, length):
+    """Two rows hold fewer rows than a predictor has channels, inputs and the past of the outputs."""
     frequencies, record = drowned
-    stub = Record(record.inputs[:3], record.outputs[:3], record.dt)
+    stub = Record(record.inputs[:length], record.outputs[:length], record.dt)
     outputs = record.outputs[:90].copy()
     outputs[::2] = np.nan
     holed = Record(record.inputs[:90], outputs, record.dt)
-    assert [one.n_samples for one in all_filtered([stub, record, holed], RED)] == [2, 2999]
+    behind = [one.n_samples for one in all_filtered([stub, record, holed], RED)]
+    assert behind == [length - 1, 2999][3 - length :]  # a row cannot hold two outputs
     result = pipeline.identify([record, stub], input_delay=0)
     assert found_of(result, frequencies) == list(frequencies)
-    assert [one.n_samples for one in result.records] == [3000, 3]
+    assert [one.n_samples for one in result.records] == [3000, length]
 
 
 def test_an_observer_order_that_is_given_is_kept_and_progress_rises(drowned):
