@@ -104,6 +104,7 @@ MECHANISMS = (
     Mechanism(says="sharp laws polished on a finer grid", where=f"{NODES}:polished", off=first),
     Mechanism(says="masses released", where=f"{NODES}:with_released_masses", off=none),
     Mechanism(says="two effects merged into one", where=f"{SMALLER}:merged", off=none),
+    Mechanism(says="a limit in the place of a law", where=f"{SMALLER}:at_limits", off=empty),
     Mechanism(says="form-free curves", where="modal.discrepancy.selection.form_free:curves_beside", off=empty),
     Mechanism(says="after a curve only laws of its motion", where=f"{BEAM}:_laws_like", off=whole_catalogue),
     Mechanism(says="end where only noise is left", where=f"{LACK}:only_noise", off=false),

@@ -51,6 +51,7 @@ from modal.discrepancy.selection.lack_of_fit import SLIGHT, lack_of_fit, undecid
 from modal.discrepancy.selection.smaller_models import (
     AbsorbedGain,
     absorbed_gain,
+    at_limits,
     has_limit,
     run_without,
     without,
@@ -194,6 +195,8 @@ def decide_nodes(
         equals = [node for node in equals if node.held_out_level <= max(SAME * best.held_out_level, 1.0)]
         if len(equals) > 1 and best.held_out_level <= FAR_ABOVE:
             best = min([best, *equals], key=lambda node: criterion(node, root, task))
+        if best.held_out_level <= NEAR_FLOOR:
+            best = min([best, *at_limits(best, task)], key=lambda node: criterion(node, root, task))
     if best is root:
         nothing = _nothing(root, task)
         found = nothing.status == "none" or nothing.node is not root
@@ -398,7 +401,7 @@ def _undetermined(best: Node, root: Node, task: Task) -> list[str]:
         span = assembly.common_of(i)
         for j, value, deviation in zip(item.common, best.coarse.unknowns.common[span], spread[span], strict=False):
             kind = item.effect.parameters[j]
-            if kind.role == "shape" and any(kind.dimension) and deviation > abs(value):
+            if kind.role == "shape" and any(kind.dimension) and not abs(value) > deviation:  # nor is a zero at a bound
                 reasons.append(
                     f"the {kind.meaning} of {effect_name(item.effect.key)} at {item.where} is not determined "
                     f"({number(value)} +- {number(deviation)}): one of its limits explains the data as well"

@@ -1,7 +1,8 @@
-"""A model with an effect less, or with one law in the place of two, fitted again: whether it needs what it has.
+"""A model with an effect less, or a simpler law, or one law in the place of two, fitted again: whether it needs it all.
 
 A link that never slips is a gap spring, one that slips at once is dry friction: limits of a richer law, which are
-fitted before it.
+fitted before it. What came later (another mass, a second effect) was added to the richer law alone: then its limit must
+be tried there too.
 
 A calibration may take up a gain: where any linear force inside a state space is free (`internal_changes`), a wrong gain
 of a sensor or an input is hardly more than another set of such forces, and both explain the records. The model as given
@@ -80,6 +81,35 @@ def merged(node: Node, task: Task) -> Node | None:
                 found = _compared(start, node, task)
                 return None if found.held_out is None else found
     return None
+
+
+def at_limits(node: Node, task: Task) -> list[Node]:
+    """The models refitted with one law at a limit of it, where the amplitudes of that are the law's own."""
+    fitted, found = node.coarse, list[Node]()
+    for i, item in enumerate(fitted.assembly.placements):
+        span, rich = fitted.assembly.common_of(i), _amplitudes(item)
+        for key in item.effect.limits:
+            there = (key, item.where) in node.effects
+            if there or key not in task.catalogue:
+                continue
+            simple = replace(item, effect=task.catalogue[key], held=())
+            if any(kind.name not in rich for kind in simple.effect.parameters):
+                continue
+            places = [span.start + rich[kind.name] for kind in simple.effect.parameters]
+            others = fitted.unknowns.common[span.start + len(item.common) :]
+            common = np.concatenate([fitted.unknowns.common[: span.start], fitted.unknowns.common[places], others])
+            items = fitted.assembly.placements
+            assembly = replace(fitted.assembly, placements=(*items[:i], simple, *items[i + 1 :]))
+            local = np.delete(fitted.unknowns.local, np.r_[fitted.assembly.own_of(i)], axis=1)
+            start = simulate_at(
+                assembly,
+                Unknowns(common=common, local=local),
+                task.fit,
+                states=_other_states(fitted, i),
+                smoothing=fitted.smoothing,
+            )
+            found.append(_compared(start, node, task))
+    return found
 
 
 def _amplitudes(item: EffectPlacement) -> dict[str, int]:

@@ -11,7 +11,7 @@ from everyday_mistakes import mistake
 
 import modal
 import okid
-from modal.discrepancy import CATALOGUE, diagnose
+from modal.discrepancy import CATALOGUE, decide, diagnose
 from modal.discrepancy.fitting.estimation import estimate, simulate_at
 from modal.discrepancy.fitting.nodes import node_of
 from modal.discrepancy.selection.smaller_models import merged
@@ -72,6 +72,25 @@ def test_friction_found_in_two_steps_is_one_law():
     sliding, excess, _ = one.coarse.unknowns.common[one.coarse.assembly.common_of(0)]
     assert abs(sliding + excess - case.size) < 0.05 * case.size
     assert merged(one, setup.task) is None
+
+
+def test_friction_without_an_excess_is_dry_friction():
+    """What was found beside a richer law (a mass, a drag) was added to it alone: its limit is tried there, too."""
+    rng = np.random.default_rng(11)
+    masses, springs, dampers, dt = everyday_mistakes.structure(rng, 1)
+    u = 3 * everyday_mistakes.drives(rng, 3)[:, :300]
+    system = everyday_mistakes.continuous(masses, springs, dampers, force_dof=0, sensor_dofs=(0,), kind="displacement")
+    clean = everyday_mistakes.rubbed(system, masses[0], u, dt, lambda v: 0.5 + 0 * v)
+    noisy = clean + 0.01 * clean.std() * rng.standard_normal(clean.shape)
+    speed = np.gradient(clean[1, :, 0], dt).std()
+    plain = modal.StructuralModel.chain(masses, 1.02 * springs, dampers, force_dofs=[0], sensor_dofs=[0])
+    rich = plain.with_effect("stribeck_friction", "element_0", Fc=0.4, excess=0.1, stribeck_velocity=0.01 * speed)
+    *fits, held_out = (okid.Record(a[:, np.newaxis], y, dt) for a, y in zip(u, noisy, strict=True))
+    found = decide([plain, rich], fits, held_out)
+    assert found.status == "named"
+    (one,) = found.findings
+    assert (one.effect, one.where) == ("coulomb_friction", "element_0")
+    assert abs(one.parameters[0].value - 0.5) < max(4 * one.parameters[0].std, 0.005)
 
 
 def test_a_lagging_sensor_of_a_model_is_that_of_the_exact_system():
