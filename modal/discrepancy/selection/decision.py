@@ -11,10 +11,9 @@ model could do instead,
 
     z^2 = delta' (I - J (J' J + prior)^-1 J') delta
 
-For an effect in proportion to one parameter this is the parameter over its standard deviation (Wald's test); it is the
-same however the parameters are chosen; and z^2 is what 2 ln L would lose at first order without the effect. The
-effect's own shapes count as what could be done instead, its amplitudes do not; of an effect that has no amplitude (a
-delay, the limit of a drive) nothing of its own does.
+For an effect in proportion to one parameter this is the parameter over its standard deviation (Wald's test), however
+the parameters are chosen; z^2 is what 2 ln L would lose at first order. The effect's own shapes count as what could be
+done instead, its amplitudes do not; of an effect without an amplitude (a delay, a drive's limit) nothing of its own does.
 """
 
 from collections.abc import Sequence
