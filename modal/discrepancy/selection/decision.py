@@ -13,7 +13,7 @@ model could do instead,
 
 For an effect in proportion to one parameter this is the parameter over its standard deviation (Wald's test), however
 the parameters are chosen; z^2 is what 2 ln L would lose at first order. The effect's own shapes count as what could be
-done instead, its amplitudes do not; of an effect without an amplitude (a delay, a drive's limit) nothing of its own does.
+done instead, its amplitudes do not; of an effect that has none (a delay, a drive's limit) nothing of its own does.
 """
 
 from collections.abc import Sequence
