@@ -55,7 +55,7 @@ from modal.verdict.probability import (
     unanswered_doubt,
     unexcited_doubt,
 )
-from modal.wording.text import hertz, listed, times
+from modal.wording.text import NINETY_FIVE, hertz, listed, times, with_interval
 from okid.arrays import BoolArray, FloatArray
 from okid.excitation import Excitation
 
@@ -349,7 +349,26 @@ def judge(
                 reason="; ".join((*remarks(mode, model.dt), *words, *doubt)),
             )
         )
-    return replace(model, modes=tuple(modes))
+    return replace(model, modes=_placed(modes))
+
+
+def _placed(modes: Sequence[Mode]) -> tuple[Mode, ...]:
+    """The same, a mode doubtful whose 95 % interval is wider than its resonance and reaches the next mode."""
+    system = [mode for mode in modes if mode.verdict == "system" and mode.kind == "oscillatory"]
+    placed = []
+    for mode in modes:
+        half = NINETY_FIVE * mode.frequency_std
+        reached = [one for one in system if one is not mode and abs(one.frequency - mode.frequency) <= half]
+        if mode not in system or not reached or not half > 2.0 * mode.damping_ratio * mode.frequency:
+            placed.append(mode)
+            continue
+        doubt = (
+            f"its interval, {with_interval(mode.frequency, half)} Hz, is wider than its resonance and reaches the mode at "
+            f"{hertz(reached[0].frequency)} Hz: which of the two these data show is open"
+        )
+        doubts, reason, p = (*mode.doubts, ("data", doubt)), f"{doubt}; {mode.reason}", min(mode.probability, DOUBTED)
+        placed.append(replace(mode, verdict="doubtful", probability=p, doubts=doubts, reason=reason))
+    return tuple(placed)
 
 
 def blurred(modes: ModalModel, frequencies: FloatArray, what: str) -> ModalModel:

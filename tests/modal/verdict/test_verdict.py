@@ -461,6 +461,19 @@ def test_what_repeats_perfectly_is_doubtful_for_each_reason(mode, told, untold, 
         assert (words in result.reason) == (verdict == "doubtful")
 
 
+@pytest.mark.parametrize(
+    ("std", "damping", "verdict"), [(1.0, 0.02, "doubtful"), (0.4, 0.02, "system"), (1.0, 0.3, "system")]
+)
+def test_a_mode_whose_interval_holds_the_next_one_is_doubtful(std, damping, verdict):
+    """Half of it is 1.96 std: 1.96 Hz reaches from 6.5 to 5 Hz, 0.8 Hz does not; a resonance of 3.9 Hz is wider."""
+    vague, known = replace(vibration(6.5, damping=damping), frequency_std=std), vibration(5.0)
+    again = model_of(known, vague)
+    runs = reruns_of(*((change, again) for change in ("data", "observer", "lower order", "higher order")))
+    first, second = judge(again, runs).modes
+    assert (first.verdict, second.verdict) == ("system", verdict)
+    assert ("reaches the mode at 5 Hz" in second.reason) == (verdict == "doubtful")
+
+
 @pytest.mark.parametrize(("gain", "verdict"), [(0.0, "doubtful"), (np.nan, "doubtful"), (0.6, "system")])
 def test_a_mode_that_only_the_lines_of_the_inputs_show_is_not_certain(gain, verdict):
     """It repeats perfectly, as every fit to the same tones does."""
