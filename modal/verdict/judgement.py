@@ -363,8 +363,8 @@ def _placed(modes: Sequence[Mode]) -> tuple[Mode, ...]:
             placed.append(mode)
             continue
         doubt = (
-            f"its interval, {with_interval(mode.frequency, half)} Hz, is wider than its resonance and reaches the mode at "
-            f"{hertz(reached[0].frequency)} Hz: which of the two these data show is open"
+            f"its interval, {with_interval(mode.frequency, half)} Hz, is wider than its resonance and reaches the mode "
+            f"at {hertz(reached[0].frequency)} Hz: which of the two these data show is open"
         )
         doubts, reason, p = (*mode.doubts, ("data", doubt)), f"{doubt}; {mode.reason}", min(mode.probability, DOUBTED)
         placed.append(replace(mode, verdict="doubtful", probability=p, doubts=doubts, reason=reason))
