@@ -14,7 +14,7 @@ from typing import cast
 import numpy as np
 
 from modal.discrepancy.fitting.estimation import FAR_ABOVE, estimate, simulate_at
-from modal.discrepancy.fitting.nodes import Node, Task, node_of
+from modal.discrepancy.fitting.nodes import Node, Task, counts, node_of
 from modal.discrepancy.fitting.observed_fits import CLEAR
 from modal.discrepancy.selection.beam import expand
 from modal.discrepancy.selection.lack_of_fit import lack_of_fit, what_is_left
@@ -46,7 +46,9 @@ class CurveSearch:
 
 
 def curves_beside(parent: Node, root: Node, task: Task) -> list[Node]:
-    """Models with a law of unknown form more that leave nothing but noise.
+    """Models with a law of unknown form more that leave nothing but noise, and count as any other effect must.
+
+    Its many points take up some of whatever is left, an unmeasured force too.
 
     Args:
         parent: The model that it stands beside.
@@ -65,7 +67,7 @@ def curves_beside(parent: Node, root: Node, task: Task) -> list[Node]:
         node for node in ranked[:1] if node.fit_level <= near_enough
     ]
     each = (next((one for one in chain([node], _finer(node, task)) if _passes(one, root, task)), None) for node in near)
-    return [node for node in each if node is not None]
+    return [node for node in each if node is not None and counts(parent, node, task)]
 
 
 def unsettled(node: Node, task: Task, motion: FloatArray) -> FloatArray:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import everyday_mistakes
 import numpy as np
 import pytest
+import scipy
 from engine_records import experiment, nominal
 from everyday_mistakes import mistake
 
@@ -91,6 +92,29 @@ def test_friction_without_an_excess_is_dry_friction():
     (one,) = found.findings
     assert (one.effect, one.where) == ("coulomb_friction", "element_0")
     assert abs(one.parameters[0].value - 0.5) < max(4 * one.parameters[0].std, 0.005)
+
+
+def test_a_slow_force_that_nobody_measured_is_no_law_of_the_motion():
+    """A curve has points enough to take up a little of anything: it must count as every effect must."""
+    rng = np.random.default_rng([9, 26])
+    masses, springs, dampers, dt = everyday_mistakes.structure(rng, 2)
+    A, B, C, _ = everyday_mistakes.continuous(
+        masses, springs, dampers, force_dof=0, sensor_dofs=(0, 1), kind="displacement"
+    )
+    unseen = np.array([[0.0], [0.0], [0.0], [1.0 / masses[1]]])
+    known = everyday_mistakes.drives(rng, 3)[:, :700]
+    pole = np.exp(-0.1 * np.abs(np.linalg.eigvals(A)).min() * dt)  # a tenth of the lowest mode
+    shocks = rng.standard_normal((3, 2700))
+    slow = 0.011 * scipy.signal.lfilter([np.sqrt(1 - pole**2)], [1, -pole], shocks)[:, 2000:]
+    exact = scipy.signal.cont2discrete((A, np.hstack([B, unseen]), C, np.zeros((2, 2))), dt)[:4]
+    clean = [scipy.signal.dlsim((*exact, dt), np.stack(both, axis=1))[1] for both in zip(known, slow, strict=True)]
+    records = [
+        okid.Record(u[:, np.newaxis], y + 0.01 * y.std(axis=0) * rng.standard_normal(y.shape), dt)
+        for u, y in zip(known, clean, strict=True)
+    ]
+    springs, dampers = springs * rng.uniform(0.97, 1.03, 2), dampers * rng.uniform(0.8, 1.2, 2)
+    model = modal.StructuralModel.chain(masses, springs, dampers, force_dofs=[0], sensor_dofs=[0, 1])
+    assert diagnose(model, records[:-1], records[-1]).status == "unresolved"
 
 
 def test_a_lagging_sensor_of_a_model_is_that_of_the_exact_system():
