@@ -194,8 +194,7 @@ def decide_nodes(
         equals = [node for node in equals if node.held_out_level <= max(SAME * best.held_out_level, 1.0)]
         if len(equals) > 1 and best.held_out_level <= FAR_ABOVE:
             best = min([best, *equals], key=lambda node: criterion(node, root, task))
-        if best.held_out_level <= NEAR_FLOOR:
-            best = min([best, *at_limits(best, task)], key=lambda node: criterion(node, root, task))
+        best = min([best, *at_limits(best, task)], key=lambda node: criterion(node, root, task))
     if best is root:
         nothing = _nothing(root, task)
         found = nothing.status == "none" or nothing.node is not root

@@ -84,9 +84,9 @@ def merged(node: Node, task: Task) -> Node | None:
 
 
 def at_limits(node: Node, task: Task) -> list[Node]:
-    """The models refitted with one law at a limit of it, where the amplitudes of that are the law's own."""
+    """A model that explains the data, refitted with one law at a limit of it, whose amplitudes are the law's own."""
     fitted, found = node.coarse, list[Node]()
-    for i, item in enumerate(fitted.assembly.placements):
+    for i, item in enumerate(fitted.assembly.placements if node.held_out_level <= NEAR_FLOOR else ()):
         span, rich = fitted.assembly.common_of(i), _amplitudes(item)
         for key in item.effect.limits:
             there = (key, item.where) in node.effects
