@@ -4,10 +4,9 @@
 (without it the held-out mean square rises by a tenth and the likelihood falls); and a lead over every model with
 another effect or place, other than those that by structure cannot be told apart. Anything less is a best guess.
 
-An effect is none in many ways: a brim without a flow over it, or a limit that no level reaches, at whatever rate. Its
-distance from none cannot be that of one parameter from its neutral value. What counts is what the effect does to the
-outputs. With delta the outputs with it less those without it, in deviations of the noise, and J what all else in the
-model could do instead,
+An effect is none in many ways: a brim without a flow over it, a limit that no level reaches. Its distance from none is
+not that of one parameter from its neutral value, but what it does to the outputs. With delta the outputs with it less
+those without it, in deviations of the noise, and J what all else in the model could do instead,
 
     z^2 = delta' (I - J (J' J + prior)^-1 J') delta
 
@@ -41,6 +40,7 @@ from modal.discrepancy.fitting.nodes import (
     Task,
     counts,
     explains_both,
+    grid_error,
     log_likelihood_gain,
     needed_masses,
 )
@@ -393,11 +393,12 @@ def _found(best: Node, root: Node) -> tuple[EffectPlacement, ...]:
 
 def _undetermined(best: Node, root: Node, task: Task) -> list[str]:
     """Lengths, times and frequencies of a law that the data do not fix: the law is one of its limits."""
-    spread = np.sqrt(np.maximum(np.diag(covariance(best.coarse, task.fit)), 0.0))
+    grid = grid_error(best)
+    spread = np.hypot(np.sqrt(np.maximum(np.diag(covariance(best.coarse, task.fit))[: grid.size], 0.0)), grid)
     assembly, reasons = best.coarse.assembly, []
     for i, item in enumerate(assembly.placements[len(root.effects) :], start=len(root.effects)):
         span = assembly.common_of(i)
-        for j, value, deviation in zip(item.common, best.coarse.unknowns.common[span], spread[span], strict=False):
+        for j, value, deviation in zip(item.common, best.fitted.unknowns.common[span], spread[span], strict=False):
             kind = item.effect.parameters[j]
             if kind.role == "shape" and any(kind.dimension) and not abs(value) > deviation:  # nor is a zero at a bound
                 reasons.append(
