@@ -50,7 +50,7 @@ from modal.identification.result import Identification, OrderEvidence
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import Choice, Fit, ModalModel
 from modal.preparation.faults import living_response
-from modal.verdict.judgement import Rerun, Reruns, blurred, judge, scattered
+from modal.verdict.judgement import Rerun, Reruns, blurred, doubted, judge, scattered
 from modal.verdict.stabilisation import stabilisation
 from modal.wording.text import LEAST_FIT, counted, hertz
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray, listener, one_blas_thread, whole_number
@@ -416,19 +416,23 @@ def _moved(modes: ModalModel, found: _Found) -> ModalModel:
 def _within(response: FrequencyResponse, modes: ModalModel) -> ModalModel:
     """Poles whose resonance lies outside the lines called noise: they stand for all that lies there.
 
+    One whose half-power band reaches into the lines and whose peak does not is doubtful: half of it was not seen.
     Resonances that a window widened which could not be taken into account are doubtful: their damping is the window's,
     and what is left of its main lobe is described by a second pole.
     """
     first, last = response.frequencies[[0, -1]]
+    ends = f"{hertz(first)} to {hertz(last)} Hz"
     judged = []
     for mode in modes.modes:
         half = mode.damping_ratio * mode.frequency  # of its half-power band
         inside = first - half <= mode.frequency <= last + half or mode.kind != "oscillatory"
-        reason = (
-            f"outside the lines of the table ({hertz(first)} to {hertz(last)} Hz): it stands for what lies beyond them"
-        )
+        reason = f"outside the lines of the table ({ends}): it stands for what lies beyond them"
         outside = replace(mode, verdict="noise", probability=0.0, damping_resolved=False, reason=reason)
-        judged.append(mode if inside else outside)
+        peak = mode.frequency * np.sqrt(max(1.0 - 2.0 * mode.damping_ratio**2, 0.0))
+        if inside and mode.kind == "oscillatory" and not first <= peak <= last:
+            judged.append(doubted(mode, f"its peak lies outside the lines of the table ({ends})"))
+        else:
+            judged.append(mode if inside else outside)
     modes = replace(modes, modes=tuple(judged))
     if on_grid(response) or response.window in {"unknown", "periodic", "exponential"}:
         return modes

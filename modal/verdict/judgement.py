@@ -139,8 +139,8 @@ SAME_FREQUENCY = 0.01
 
 UNEVEN = (
     "Near {where} Hz what does not follow the inputs is {times} what blocks of this length leave of a linear "
-    "structure under even forces: the measured forces fall there, as those of shakers do which the structure loads, or "
-    "it is not linear. Average over longer blocks{or_one}."
+    "structure under even forces: the measured forces fall there, as those of shakers do which the structure loads, "
+    "their sensors are noisy, other forces act, or it is not linear. Average over longer blocks{or_one}."
 )
 SCATTERED = (
     "Near {where} Hz what does not follow the inputs is {times} what blocks of this length and the sensors' "
@@ -384,11 +384,12 @@ def blurred(modes: ModalModel, frequencies: FloatArray, what: str) -> ModalModel
         band = 2 * mode.damping_ratio * mode.frequency
         lines = float(np.interp(mode.frequency, frequencies[1:], np.diff(frequencies)))
         narrow = mode.kind == "oscillatory" and band < NARROW * lines
-        judged.append(_doubted(mode, f"its half-power band of {hertz(band)} Hz is {what}") if narrow else mode)
+        judged.append(doubted(mode, f"its half-power band of {hertz(band)} Hz is {what}") if narrow else mode)
     return replace(modes, modes=tuple(judged))
 
 
-def _doubted(mode: Mode, reason: str) -> Mode:
+def doubted(mode: Mode, reason: str) -> Mode:
+    """A mode of the system as a doubtful one, for this reason; any other as it is."""
     if mode.verdict != "system":
         return mode
     return replace(
@@ -437,7 +438,7 @@ def scattered(
         alike = assurance(one.shape[:, np.newaxis], other.shape[:, np.newaxis])[0, 0] >= SAME_SHAPE
         within = apart < one.damping_ratio * one.frequency  # broad, with the other one in it
         if apart < LARGEST_BAND * other.frequency and one.gain < other.gain and (alike or within):
-            again[i] = _doubted(one, f"second pole of the mode at {hertz(other.frequency)} Hz, which is not linear")
+            again[i] = doubted(one, f"second pole of the mode at {hertz(other.frequency)} Hz, which is not linear")
     return replace(modes, modes=tuple(again)), words
 
 

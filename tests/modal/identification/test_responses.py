@@ -351,3 +351,20 @@ def test_a_driving_point_in_a_table_gives_modal_mass():
     scaled = modal.normalise_shapes(result.modes, driving_point=("output_0", "input_0"))
     # mass-normalised shapes in; where the largest component is 1, a mode's mass is one over its square
     np.testing.assert_allclose(scaled.modal_mass[:5], 1 / np.abs(shapes).max(axis=0) ** 2, rtol=5e-3)
+
+
+def test_a_peak_beyond_the_last_line_is_not_certain():
+    """Three modes in the lines, and one whose broad flank alone reaches into them."""
+    rng, lines = np.random.default_rng(1), np.arange(1, 401) * 0.125
+    s = 2j * np.pi * lines[:, np.newaxis]
+    response = np.zeros((lines.size, 3), dtype=complex)
+    for frequency, damping, size in ((8.0, 0.01, 1.0), (17.0, 0.012, 1.0), (31.0, 0.008, 1.0), (72.0, 0.42, 6.0)):
+        w = 2 * np.pi * frequency
+        response += size * w**2 * rng.standard_normal(3) / (s**2 + 2 * damping * w * s + w**2)
+    noise = rng.standard_normal((2, *response.shape))
+    response += 0.01 * np.median(np.abs(response)) * (noise[0] + 1j * noise[1])
+    table = FrequencyResponse(response[:, :, np.newaxis], lines, window="periodic")
+    modes = modal.identify(table).modes
+    assert [mode.frequency for mode in modes.system] == pytest.approx([8.0, 17.0, 31.0], rel=1e-3)
+    (beyond,) = [mode for mode in modes.modes if mode.frequency > 50.0 and mode.verdict == "doubtful"]
+    assert "its peak lies outside the lines" in beyond.reason
