@@ -89,7 +89,7 @@ def _for_the_damping(result: Identification) -> tuple[str, ...]:
 
 def _for_the_forces(result: Identification) -> tuple[str, ...]:
     """What a measured force would add where none was measured, or where those measured explain little."""
-    if not result.channels.n_inputs:
+    if not result.channels.n_inputs or result.record_kind == "decay":  # whose inputs are the releases
         return ("For modal masses and frequency responses measure a force as well.",)
     if result.response is None and result.fit.mean < LEAST_FIT:
         return ("Measure what else drives it, where you can.",)

@@ -242,6 +242,7 @@ def test_what_a_force_would_add_is_told_where_none_or_too_little_was_measured(id
     alone = Record(np.zeros((record.n_samples, 0)), record.outputs, record.dt, output_names=record.output_names)
     ambient = next_sentences(replace(quiet, records=(alone,)))
     assert ambient[-1] == "For modal masses and frequency responses measure a force as well."
+    assert next_sentences(replace(with_fit(quiet, 0.3), record_kind="decay"))[-1] == ambient[-1]
 
 
 COLUMNS = {column.key: column for column in INDICATORS}
