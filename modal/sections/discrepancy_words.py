@@ -97,17 +97,17 @@ def closed_sentence(diagnosis: Diagnosis) -> str:
     if not diagnosis.findings:
         alone = f"Calibration with {masses}" if (masses := other_masses(diagnosis)) else "Calibration alone"
         taken = "nothing of it" if diagnosis.closed <= 0.0 else f"{whole} of what was above the noise"
-        return f"{alone} takes {taken} away."
+        return f"{alone} takes away {taken}."
     effects = "effect" if len(diagnosis.findings) == 1 else "effects"
     if diagnosis.closed <= 0.0:
-        return f"Calibration and the {effects} found take nothing of it away."
+        return f"Calibration and the {effects} found take away nothing of it."
     calibrated = [times_floor(step.held_out_level) for step in _milestones(diagnosis)[1:-1]]
     if not calibrated or not math.isfinite(first):
-        return f"Calibration and the {effects} found take {whole} of what was above the noise away."
+        return f"Calibration and the {effects} found take away {whole} of what was above the noise."
     # a gap of L times the floor stands root(L^2 - 1) above it
     left = max(calibrated[0] ** 2 - 1.0, 0.0) / (first**2 - 1.0)
-    alone = f"takes {exact_percent(closed_share(1.0 - left))}" if left < 1.0 else "takes nothing"
-    return f"Calibration alone {alone} of what was above the noise away; with the {effects} found it is {whole}."
+    alone = exact_percent(closed_share(1.0 - left)) if left < 1.0 else "nothing"
+    return f"Calibration alone takes away {alone} of what was above the noise; with the {effects} found it is {whole}."
 
 
 def finding_sentence(finding: Finding) -> str:
