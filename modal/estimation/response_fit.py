@@ -193,9 +193,10 @@ def _noise(response: FrequencyResponse) -> tuple[FloatArray | None, FloatArray, 
     """(1 - coherence) / coherence of each value; its coherence beyond chance; whether all inputs acted at once.
 
     Beyond chance is nothing, 0, where noise alone has such a coherence in one of twenty lines: no input moved there.
+    A coherence of 1 everywhere, as that of one average, or of nan tells nothing of the noise.
     """
     coherence, shape = response.coherence, response.response.shape
-    if coherence is None:
+    if coherence is None or not (coherence < 1.0 - 1e-9).any():
         return None, np.ones(shape), False
     together = coherence.ndim == 2 and response.n_inputs > 1
     whole = coherence[:, :, np.newaxis] if coherence.ndim == 2 else coherence

@@ -368,3 +368,10 @@ def test_a_peak_beyond_the_last_line_is_not_certain():
     assert [mode.frequency for mode in modes.system] == pytest.approx([8.0, 17.0, 31.0], rel=1e-3)
     (beyond,) = [mode for mode in modes.modes if mode.frequency > 50.0 and mode.verdict == "doubtful"]
     assert "its peak lies outside the lines" in beyond.reason
+    for nothing in (1.0, np.nan):  # the coherence of one average, and that of an empty column
+        coherence = np.full(table.response.shape, nothing)
+        again = modal.identify(
+            FrequencyResponse(table.response, lines, window="periodic", coherence=coherence, n_averages=30)
+        )
+        assert [mode.frequency for mode in again.modes.system] == [mode.frequency for mode in modes.system]
+        assert not again.warnings
