@@ -31,18 +31,19 @@ def main():
     parser.add_argument("--systems", type=int, default=4)
     parser.add_argument("--seed", type=int, default=100)
     parser.add_argument("--cases", nargs="*", default=CASES)
+    parser.add_argument("--show", action="store_true", help="a line a system")
     arguments = parser.parse_args()
     print(
-        "case                  found  called false  bias    p90    f in  d in   f z    d z    AUC   CPU s   LSCF    p90"
+        "case                  found  called false  bias   s.e.    p90    f in  d in   f z    d z    AUC   CPU s   LSCF    p90"
     )
     for case in arguments.cases:
-        print(line_of(case, range(arguments.seed, arguments.seed + arguments.systems)), flush=True)
+        print(line_of(case, range(arguments.seed, arguments.seed + arguments.systems), arguments.show), flush=True)
 
 
-def line_of(case, seeds):
-    """The figures of one case."""
+def line_of(case, seeds, show=False):
+    """The figures of one case; the standard error of the bias is by systems."""
     window, samples, *rest = case.split("-")
-    f_errors, d_errors, ratios, scores, truths, twin = [], [], [], [], [], []
+    f_errors, d_errors, ratios, scores, truths, twin, of_system = [], [], [], [], [], [], []
     n_modes = n_called = n_false = 0
     began = time.process_time()
     for seed in seeds:
@@ -52,6 +53,7 @@ def line_of(case, seeds):
         result = modal.identify(table)
         poles = textbook_lscf(test.response, test.frequencies, 60)
         left = [mode for mode in result.modes if mode.kind == "oscillatory"]
+        first = len(ratios)
         for f, d in zip(test.true_frequencies, test.true_damping, strict=True):
             n_modes += 1
             nearest = poles[np.abs(np.abs(poles) - 2 * np.pi * f).argmin()]
@@ -74,13 +76,23 @@ def line_of(case, seeds):
             if away:
                 scores.append(mode.probability)
                 truths.append(False)
+        of_system.append(ratios[first:])
+        if show:
+            errors = " ".join(
+                f"{100 * r:+.1f}({z:+.1f})" for r, z in zip(ratios[first:], d_errors[first:], strict=True)
+            )
+            verdicts = [(round(mode.frequency, 2), mode.verdict) for mode in result.modes if mode.verdict != "system"]
+            print(f"  {seed}: damping errors, % (deviations): {errors}; not system {verdicts}", flush=True)
     if not ratios:
         return f"{case:20s}  nothing found"
     inside = [100 * np.mean(np.abs(errors) < 1.96) for errors in (f_errors, d_errors)]
+    bias = np.mean(ratios)
+    sums = [sum(own) - len(own) * bias for own in of_system]
+    error = np.sqrt(np.sum(np.square(sums))) / len(ratios)
     sizes = [np.sqrt(np.mean(np.square(errors))) for errors in (f_errors, d_errors)]
     return (
         f"{case:20s} {100 * len(ratios) / n_modes:5.1f}% {100 * n_called / n_modes:5.1f}% {n_false:4d}  "
-        f"{100 * np.mean(ratios):+5.2f}% {100 * np.quantile(np.abs(ratios), 0.9):5.1f}%  {inside[0]:4.0f}% "
+        f"{100 * bias:+5.2f}% {100 * error:5.2f}% {100 * np.quantile(np.abs(ratios), 0.9):5.1f}%  {inside[0]:4.0f}% "
         f"{inside[1]:4.0f}% {sizes[0]:5.2f}  {sizes[1]:5.2f}  {auc(np.array(scores), np.array(truths)):.3f} "
         f"{(time.process_time() - began) / len(seeds):6.1f}  "
         f"{100 * np.mean(twin):+8.2f}% {100 * np.quantile(np.abs(twin), 0.9):5.0f}%"
