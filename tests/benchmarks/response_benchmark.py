@@ -34,7 +34,8 @@ def main():
     parser.add_argument("--show", action="store_true", help="a line a system")
     arguments = parser.parse_args()
     print(
-        "case                  found  called false  bias   s.e.    p90    f in  d in   f z    d z    AUC   CPU s   LSCF    p90"
+        "case                  found  called false  bias   s.e.    p90    f in  d in   f z    d z    AUC   CPU s   LSCF"
+        "    p90"
     )
     for case in arguments.cases:
         print(line_of(case, range(arguments.seed, arguments.seed + arguments.systems), arguments.show), flush=True)
