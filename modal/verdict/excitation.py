@@ -29,7 +29,7 @@ from modal.modes.mode import ModalModel, Mode
 from modal.preparation.band import N_SHIFTS
 from modal.preparation.kind import acting_rows
 from modal.preparation.lines import MAIN_LOBE, blackman_harris, line_bins
-from modal.verdict.probability import HARDLY_DRIVEN, LEAST_HEIGHT, RESOLVED, f_ratio
+from modal.verdict.probability import FEWEST_TURNS, HARDLY_DRIVEN, LEAST_HEIGHT, RESOLVED, drifting, f_ratio
 from modal.wording.text import counted, hertz, listed
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
@@ -487,6 +487,8 @@ def undriven_doubt(mode: Mode, gain: float, duration: float) -> tuple[str, ...]:
         line = "an undamped line that the input does not drive (held-out gain negative): periodic disturbance?"
         return (line if undamped else words,)
     if undamped and not gain >= UNDAMPED_GAIN:
+        if mode.frequency * duration < FEWEST_TURNS:
+            return (drifting(mode, duration),)
         if -mode.pole.real * duration < LEAST_DECAY:
             share = -100 * np.expm1(mode.pole.real * duration)
             how = f"an undamped line, which decays by only {share:.2g} % over {duration:.4g} s"

@@ -295,12 +295,12 @@ def judge(
         held_out = _mean_gain(found, reruns, i)
         unanswered = unanswered_doubt(mode, 0.0 if chance is None else float(chance[i]), held_out)
         driven = own_gain if np.isnan(held_out) else held_out
-        lucky = chance_line is not None and bool(chance_line[i]) and driven > 0.0
-        line = undriven_doubt(mode, 0.0 if lucky else driven, duration)
+        lucky = rings_down or (chance_line is not None and bool(chance_line[i]))  # a release fits what never ends, too
+        line = undriven_doubt(mode, min(driven, 0.0) if lucky else driven, duration)
         undriven = (
             *line,
             *edge_doubt(mode, edge),
-            *(drift_doubt(mode, model.modes, duration) if rings_down else ()),
+            *(slow for slow in drift_doubt(mode, model.modes, duration) if rings_down and slow not in line),
             *(() if ringing is None else free_doubt(mode, float(ringing[i]), made_of[i])),
             *(heavy_doubt(mode) if is_table or ringing is not None else ()),
             *(unexcited_doubt(mode, excitation) or unanswered),

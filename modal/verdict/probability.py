@@ -233,14 +233,14 @@ def free_doubt(mode: Mode, ringing: float, made_of: str) -> tuple[str, ...]:
         >>> mode = Mode(pole=-1 + 9j, kind="oscillatory", frequency=1.44, damping_ratio=0.11,
         ...             shape=np.ones(1), participation=np.ones(1))
         >>> free_doubt(mode, 100.0, "2.1 - 0.66")
-        ('its pole is a sum of stronger ones (2.1 - 0.66 Hz): what is not quite linear makes it',)
+        ('its pole is a sum of stronger ones (2.1 - 0.66 Hz): what is not quite linear makes such a one',)
     """
     doubts = []
     if ringing < HARDLY_DRIVEN:
         where = f"nothing rings at {mode.frequency:.4g} Hz beyond chance"
         doubts.append(f"{where}: what seems to answer is over with the blow")
     if made_of:
-        doubts.append(f"its pole is a sum of stronger ones ({made_of} Hz): what is not quite linear makes it")
+        doubts.append(f"its pole is a sum of stronger ones ({made_of} Hz): what is not quite linear makes such a one")
     return tuple(doubts)
 
 
@@ -256,16 +256,19 @@ def drift_doubt(mode: Mode, others: Sequence[Mode], duration: float) -> tuple[st
         >>> import numpy as np
         >>> slow, fast = (
         ...     Mode(pole=pole, kind=kind, frequency=f, damping_ratio=0.5, shape=np.ones(1), participation=np.ones(1))
-        ...     for pole, kind, f in ((-0.6, "real", 0.1), (-0.5 + 9j, "oscillatory", 1.4))
+        ...     for pole, kind, f in ((-0.6, "real", 0.095), (-0.5 + 9j, "oscillatory", 1.4))
         ... )
         >>> drift_doubt(slow, [slow, fast], duration=10.0)
         ('so slow that a drifting sensor makes it as well: it turns 0.95 times within the record',)
     """
-    turns = duration * abs(mode.pole) / (2 * np.pi)
     vibrates = any(one.kind == "oscillatory" and one.frequency * duration >= FEWEST_TURNS for one in others)
-    if turns >= FEWEST_TURNS or not vibrates:
-        return ()
-    return (f"so slow that a drifting sensor makes it as well: it turns {turns:.2g} times within the record",)
+    return (drifting(mode, duration),) if mode.frequency * duration < FEWEST_TURNS and vibrates else ()
+
+
+def drifting(mode: Mode, duration: float) -> str:
+    """What turns less often than `FEWEST_TURNS` within its record, in words."""
+    turns = f"it turns {mode.frequency * duration:.2g} times within the record"
+    return f"so slow that a drifting sensor makes it as well: {turns}"
 
 
 SPREAD = 0.1

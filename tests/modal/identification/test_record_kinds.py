@@ -152,7 +152,7 @@ def test_products_of_modes_are_no_modes():
     result = modal.identify(Record(force, bent, truth.dt))
     twice = [mode for mode in result.modes if abs(mode.pole - 2.0 * truth.poles[0]) < 0.02 * abs(truth.poles[0])]
     assert twice
-    assert all(mode.verdict == "doubtful" and "what is not quite linear makes it" in mode.reason for mode in twice)
+    assert all(mode.verdict == "doubtful" and "what is not quite linear makes such" in mode.reason for mode in twice)
     assert_told_right(result, truth)
 
 

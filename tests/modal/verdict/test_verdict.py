@@ -312,6 +312,24 @@ def test_a_mode_that_the_input_does_not_drive_is_not_certain(gains, duration, ve
     assert result.reason.startswith(words)
 
 
+@pytest.mark.parametrize(
+    ("frequency", "gain", "rings_down", "verdict", "words"),
+    [
+        (5.0, 0.9, False, "system", "found again"),
+        (5.0, 0.9, True, "doubtful", "an undamped line, which decays by only 61 % over 1.5 s: periodic disturbance?"),
+        (1.2, 0.9, True, "doubtful", "so slow that a drifting sensor makes it as well: it turns 1.8 times"),
+        (1.2, 0.05, False, "doubtful", "so slow that a drifting sensor makes it as well: it turns 1.8 times"),
+    ],
+)
+def test_a_release_drives_no_line(frequency, gain, rings_down, verdict, words):
+    """It acts in one row, and explains hum and drift as well as what rings: the gain tells nothing."""
+    mode = vibration(frequency, 0.02)
+    result = judged(mode, found_driven(gain, gain, mode), duration=1.5, rings_down=rings_down)
+    assert result.verdict == verdict
+    assert result.reason.startswith(words)
+    assert result.reason.count("drifting") <= 1
+
+
 def test_where_the_held_out_gain_is_not_known_the_modes_own_counts():
     mode = vibration(5.0, 0.02)
     runs = found_driven(np.nan, np.nan, mode)
