@@ -49,7 +49,7 @@ _COSINES: dict[str, tuple[float, ...]] = {
     "hamming": (0.54, -0.46),
     "flattop": (0.21557895, -0.41663158, 0.277263158, -0.083578947, 0.006947368),
 }
-_OVERLAP = {"hann": 0.5, "hamming": 0.5, "flattop": 0.75}
+OVERLAP = {"hann": 0.5, "hamming": 0.5, "flattop": 0.75}
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -503,7 +503,7 @@ def estimate_response(
     if estimator == "H2" and first.n_inputs > 1:
         raise InvalidDataError(f"H2 is defined for one input, but there are {first.n_inputs}; use H1 or Hv.")
     length = _block_samples(several, window, n_samples)
-    share = _OVERLAP.get(window, 0.0) if overlap is None else real_number(overlap)
+    share = OVERLAP.get(window, 0.0) if overlap is None else real_number(overlap)
     if not 0 <= share < 1:
         raise InvalidDataError(f"overlap must be a share in [0, 1), but is {overlap!r}.")
     constant = None if window_time_constant is None else real_number(window_time_constant)

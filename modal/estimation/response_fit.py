@@ -55,6 +55,7 @@ class ResponseLines:
         noise: (n_lines, n_outputs, n_inputs) (1 - coherence) / coherence, None where it is not known.
         trust: the same shape, coherence beyond that of noise alone, 1 where it is not known.
         together: whether all inputs acted at once.
+        power: (n_inputs,) of the inputs, relative to each other; 1 where they did not act at once, or it is not known.
         output_scale: (n_outputs,) sizes that the values were divided by.
         input_scale: (n_inputs,) sizes that they were multiplied by.
     """
@@ -69,6 +70,7 @@ class ResponseLines:
     noise: FloatArray | None
     trust: FloatArray
     together: bool
+    power: FloatArray
     output_scale: FloatArray
     input_scale: FloatArray
 
@@ -174,6 +176,7 @@ def lines_of(response: FrequencyResponse, window: ResponseWindow, finer: int = 1
         noise=noise,
         trust=trust,
         together=together,
+        power=np.ones(response.n_inputs),
         output_scale=out,
         input_scale=into,
     )

@@ -32,6 +32,7 @@ from modal.estimation.response_noise import (
     noise_of,
     pole_deviations,
     runs_on,
+    with_powers,
 )
 from modal.estimation.response_order import (
     QUICK,
@@ -174,6 +175,7 @@ def _search(
     fit = _fitted(table, found, first, first_weight(table))
     if not fit.poles.size:
         raise InsufficientDataError(f"{table.z.size} lines hold no pole that rings; give more lines or a wider band.")
+    table = with_powers(table, fit)
     weight = weight_of(table, noise_of(table, fit))
     fit = refined(table, fit, weight, n_steps=QUICK)
     while order == "auto" and first < largest:  # more poles, as long as they tell more
@@ -199,6 +201,7 @@ def _search(
         if fit.order == chosen:
             break
         chosen = fit.order
+    table = with_powers(table, fit)
     fit, noise, likelihood = settled_noise(table, fit, noise_of(table, fit))
     if not fits:
         evidence, fits = (
