@@ -1,0 +1,53 @@
+"""What the errors of a table of several references are made of, against forces whose powers are known."""
+
+import numpy as np
+import pytest
+from response_tables import averaged, drawn_structure, held_response
+
+from modal.estimation.response_fit import lines_of, refined
+from modal.estimation.response_noise import beyond_blocks, noise_of, pole_deviations, with_powers
+from modal.estimation.response_order import first_weight, weight_of
+from okid.frequency_response import FrequencyResponse
+
+
+@pytest.fixture(scope="module")
+def driven():
+    """A table of two references of rms 3 and 1 in blocks of 512 samples, and its model from the true poles."""
+    f, damping, shapes = drawn_structure(np.random.default_rng([61701, 58]), 100.0)
+    rng, points = np.random.default_rng(17), [2, 5]
+    forces = rng.standard_normal((65536, 2)) * [3.0, 1.0]
+    outputs = held_response(forces, f, damping, shapes, shapes[points], dt=0.01)
+    outputs += 0.05 * outputs.std(axis=0) * rng.standard_normal(outputs.shape)
+    response, coherence, n_averages = averaged(forces, outputs, "hann", 512)
+    grid = np.arange(257) * 100.0 / 512
+    table, _ = lines_of(
+        FrequencyResponse(response, grid, coherence=coherence, n_averages=n_averages, window="hann"), "hann"
+    )
+    poles = np.exp(2 * np.pi * f * (-damping + 1j * np.sqrt(1 - damping**2)) * table.dt)
+    inputs = shapes[points].T / table.input_scale
+    inputs = inputs / np.take_along_axis(inputs, np.abs(inputs).argmax(axis=1)[:, np.newaxis], axis=1)
+    fit = refined(table, (poles, np.ones(5, dtype=bool), inputs + 0j), first_weight(table), n_steps=8)
+    return table, fit, n_averages
+
+
+def test_how_strong_each_reference_was_is_told_by_the_scatter_of_its_responses(driven):
+    table, fit, _ = driven
+    power = with_powers(table, fit).power
+    expected = np.array([9.0, 1.0]) / table.input_scale**2
+    assert expected[1] / expected[0] < 0.02  # in the table's own scales
+    assert power[1] / power[0] < 2 * expected[1] / expected[0]
+
+
+def test_references_of_unlike_power_are_no_uneven_forces(driven):
+    """Taken for equal they made the noise of a mode up to three times too large, and all modes of the table doubtful."""
+    table, fit, n_averages = driven
+    told = with_powers(table, fit)
+    ratios = []
+    for one in (table, told):
+        best = refined(one, fit.start, weight_of(one, noise_of(one, fit)), n_steps=8)
+        noise = noise_of(one, best)
+        damping = -np.log(np.abs(best.poles)) / np.abs(np.log(best.poles))
+        relative = pole_deviations(one, best, noise)[1] / damping
+        ratios.append(beyond_blocks(one, best, noise, relative, n_averages))
+    assert (ratios[0] != 1).any()
+    np.testing.assert_array_equal(ratios[1], 1.0)
