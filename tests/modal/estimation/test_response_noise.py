@@ -39,7 +39,7 @@ def test_how_strong_each_reference_was_is_told_by_the_scatter_of_its_responses(d
 
 
 def test_references_of_unlike_power_are_no_uneven_forces(driven):
-    """Taken for equal they made the noise of a mode up to three times too large, and all modes of the table doubtful."""
+    """Taken for equal they made the noise of a mode three times too large, and all modes of the table doubtful."""
     table, fit, n_averages = driven
     told = with_powers(table, fit)
     ratios = []
