@@ -282,9 +282,14 @@ def _realisations(
     )
     dt, most = 0.5 / float(f[-1]), most_states(table)
     if most < 1:
-        raise InsufficientDataError(
-            f"the table holds {int(table.known.sum())} values, too few for any model; give more lines."
-        )
+        n_known, n_given = int(table.known.sum()), int(np.isfinite(response.response).sum())
+        if n_known < n_given / 2:
+            raise InsufficientDataError(
+                f"coherence is no greater than chance gives at {n_given - n_known} of {n_given} values, so what they "
+                "hold does not follow the inputs; give a table of inputs that move the outputs, or leave coherence out "
+                "if it is wrong."
+            )
+        raise InsufficientDataError(f"the table holds {n_known} values, too few for any model; give more lines.")
     markov = pulse_response(on_grid, dt=None if grid[0] == 0 else dt)
     n_lags = min(LONGEST, round(share * markov.n_lags))
     markov = MarkovParameters(system=markov.system[: n_lags + 1], dt=dt)

@@ -298,6 +298,14 @@ def test_too_few_lines_for_a_model_are_refused_in_a_sentence(n_lines):
         modal.identify(table)
 
 
+def test_a_coherence_of_chance_is_named_as_what_leaves_no_lines():
+    table = exact_table()
+    none = np.full((table.n_lines, 3), 0.005)
+    known = {"coherence": none, "n_averages": 100, "window": "hann"}
+    with pytest.raises(okid.InsufficientDataError, match="coherence is no greater than chance gives at"):
+        modal.identify(FrequencyResponse(table.response, table.frequencies, **known))
+
+
 def test_an_output_that_is_dead_says_nothing_against_the_modes():
     """Its fit of 0 made every mode doubtful, the model explaining nothing."""
     table = exact_table()
