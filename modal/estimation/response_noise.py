@@ -203,7 +203,8 @@ def runs_on(table: ResponseLines, fit: ResponseFit, noise: Noise) -> BoolArray:
     window joins is held against that of drawn errors: further from their mean than 5 of their standard deviations. Not
     asked of blocks that leak where no coherence tells how much: a linear structure failed it (white forces, 41184).
     """
-    if table.leaks and table.noise is None:
+    digits = np.sqrt(np.finfo(float).eps) * np.abs(table.values).max()
+    if (table.leaks and table.noise is None) or np.abs(fit.left).max() <= digits:  # of a model's table rounding is left
         return np.zeros(fit.poles.size, dtype=np.bool_)
     rng, weight = np.random.default_rng(DRAWN), np.where(table.known, 1 / np.sqrt(noise.variance), 0.0)
     reach, last = _reach(table)[-1], table.z.size - 1

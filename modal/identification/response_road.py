@@ -50,7 +50,7 @@ from modal.estimation.response_order import (
 from modal.identification.result import Identification, OrderEvidence
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import Choice, Fit, ModalModel
-from modal.preparation.faults import living_response
+from modal.preparation.faults import forward_response, living_response
 from modal.verdict.judgement import Rerun, Reruns, blurred, doubted, judge, scattered
 from modal.verdict.stabilisation import stabilisation
 from modal.wording.text import LEAST_FIT, counted, hertz
@@ -142,7 +142,8 @@ def identify_response(
     if order != "auto":
         order = whole_number(order, name="order", least=1, otherwise='or "auto"')
     tell = listener(progress)
-    given, dead = living_response(response)
+    living, dead = living_response(response)
+    given, backwards = forward_response(living)
     response = with_missing_lines(given)
     with one_blas_thread():
         tell("fitting the responses", 0.0)
@@ -157,7 +158,7 @@ def identify_response(
         found = max(each, key=lambda one: one.likelihood)
         tell("identifying again with halves of the averages, other lags and orders", 0.6)
         result = _judged(found, order, tried)
-        result = replace(result, response=given, warnings=(*dead, *result.warnings))
+        result = replace(result, response=given, warnings=(*dead, *backwards, *result.warnings))
         tell("done", 1.0)
     return result
 

@@ -51,6 +51,7 @@ def test_exact_responses_give_exact_modes(identified):
     assert identified.observer is None
     assert identified.source is identified.response
     assert identified.record_kind == "response"
+    assert not identified.warnings
 
 
 def test_motions_are_powers_of_the_angular_frequency(identified):
@@ -296,6 +297,15 @@ def test_too_few_lines_for_a_model_are_refused_in_a_sentence(n_lines):
     table = FrequencyResponse(exact_table().response[:n_lines, :1, :1], np.arange(n_lines) / 5.12)
     with pytest.raises(okid.InsufficientDataError, match="give more lines"):
         modal.identify(table)
+
+
+def test_a_conjugated_table_is_turned_round():
+    """Damping of 0.00 % was that of certain modes, and the structure said to be not linear."""
+    table = exact_table()
+    turned = FrequencyResponse(table.response.conj(), table.frequencies, window="periodic")
+    result = modal.identify(turned)
+    np.testing.assert_allclose([mode.frequency for mode in result.modes.system], FREQUENCIES, rtol=1e-10)
+    assert ["exp(-2 pi j f t)" in text for text in result.warnings] == [True]
 
 
 def test_a_coherence_of_chance_is_named_as_what_leaves_no_lines():
