@@ -383,7 +383,13 @@ def _frequency_column(table: Table) -> int | None:
 
 
 def _part(name: str) -> tuple[str, str]:
-    """("tip/hammer", "re") of "tip/hammer re"; "" as the second where the name ends in no known word."""
+    """("tip/hammer", "re") of "tip/hammer re"; "" as the second where the name ends in no known word.
+
+    Columns called re, im and coherence alone are those of the one response of a file.
+    """
+    alone = _PARTS.get(name.strip().lower(), "")
+    if alone in {"re", "im", "coherence"}:
+        return "output_0", alone
     match = re.fullmatch(r"(.*?)[\s_:,]+([A-Za-z]+)\.?", name.strip())
     word = _PARTS.get(match[2].lower(), "") if match else ""
     return (match[1].strip(), word) if match and word else (name.strip(), "")

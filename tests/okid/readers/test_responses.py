@@ -176,6 +176,17 @@ def test_tables_that_do_not_say_what_they_hold(head, words, tmp_path):
         read_response(path)
 
 
+def test_columns_that_are_called_no_more_than_their_part(tmp_path):
+    path = tmp_path / "one.csv"
+    path.write_text("freq,Re,Im,coherence\n0,1,0,1\n1,2,-3,0.5\n")
+    found = read_response(path)
+    np.testing.assert_array_equal(found.response.ravel(), [1, 2 - 3j])
+    np.testing.assert_array_equal(found.coherence.ravel(), [1, 0.5])
+    assert holds_responses(path)
+    path.write_text("time,f,magnitude\n0,1,0\n1,2,3\n")
+    assert not holds_responses(path)
+
+
 def test_damaged_files_are_refused_or_read_as_they_are(table, tmp_path):
     """A byte changed or the end cut off: another table of numbers that the bytes say, or one sentence."""
     whole = write_response(table, tmp_path / "whole.uff").read_bytes()
