@@ -153,7 +153,8 @@ def with_powers(table: ResponseLines, fit: ResponseFit) -> ResponseLines:
     """
     if not table.together:
         return table
-    power = 1 / noise_of(table, fit).share
+    share = noise_of(table, fit).share
+    power = 1 / np.maximum(share, max(TINY, np.finfo(float).eps * float(share.max())))
     return replace(table, power=power / power.mean())
 
 

@@ -51,7 +51,7 @@ from modal.identification.result import Identification, OrderEvidence
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import Choice, Fit, ModalModel
 from modal.preparation.faults import forward_response, living_response
-from modal.verdict.judgement import Rerun, Reruns, blurred, doubted, judge, scattered
+from modal.verdict.judgement import Rerun, Reruns, blurred, doubted, judge, scattered, told_by_dips
 from modal.verdict.stabilisation import stabilisation
 from modal.wording.text import LEAST_FIT, counted, hertz
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray, listener, one_blas_thread, whole_number
@@ -352,7 +352,7 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
         fit=measured.mean,
         is_table=True,
     )
-    modes = _within(found.response, _moved(modes, found))
+    modes = _within(found.response, modes if fit is white else told_by_dips(_moved(modes, found)))
     of_mode = [int(np.abs(fit.poles - np.exp(mode.pole * table.dt)).argmin()) for mode in modes.modes]
     modes, beyond = scattered(
         modes, ratios[of_mode], onward[of_mode], found.response.frequencies, several_forces=found.response.n_inputs > 1

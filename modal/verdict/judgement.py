@@ -402,6 +402,21 @@ def doubted(mode: Mode, reason: str) -> Mode:
     )
 
 
+def told_by_dips(modes: ModalModel) -> ModalModel:
+    """What was judged of a force with dips, no pole noise that its deviation places within its own resonance.
+
+    What is identified again knows of no dips: its poles go to them, and a weak mode beside them is lost.
+    """
+    told = []
+    for mode in modes.modes:
+        placed = mode.kind == "oscillatory" and mode.frequency_std < mode.damping_ratio * mode.frequency
+        again = mode.verdict == "noise" and placed
+        reason = f"weak beside the dips of the force, of which what is identified again knows nothing; {mode.reason}"
+        doubtful = replace(mode, verdict="doubtful", probability=max(mode.probability, NOISE_BELOW), reason=reason)
+        told.append(doubtful if again else mode)
+    return replace(modes, modes=tuple(told))
+
+
 def scattered(
     modes: ModalModel, ratios: FloatArray, onward: BoolArray, frequencies: FloatArray, *, several_forces: bool
 ) -> tuple[ModalModel, list[str]]:

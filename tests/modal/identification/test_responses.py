@@ -10,6 +10,8 @@ import modal
 import okid
 from modal.command.main import app
 from modal.examples.demo import compare_with_truth, demo_record, demo_truth
+from modal.modes.mode import Mode
+from modal.verdict.judgement import told_by_dips
 from okid.errors import InvalidDataError
 from okid.frequency_response import FrequencyResponse, estimate_response
 from okid.readers.response import read_response
@@ -218,6 +220,19 @@ def test_a_force_that_dips_leaves_the_damping_of_every_mode():
     assert len(result.modes.system) == 5
     for mode, d in zip(result.modes.system, test.true_damping, strict=True):
         assert abs(mode.damping_ratio / d - 1) < 0.12
+
+
+def test_what_reruns_without_dips_lose_is_doubtful_where_its_place_is_known():
+    """A true mode at 14.56 Hz, known to 0.006 Hz, was noise: no rerun found it beside the dips of stronger ones."""
+    known, unknown, sure = (
+        Mode(pole=-0.4 + 91j, kind="oscillatory", frequency=14.56, damping_ratio=0.005, shape=np.ones(1),
+             participation=np.ones(1), frequency_std=std, probability=p, verdict=verdict)
+        for std, p, verdict in ((0.006, 0.0, "noise"), (1.9, 0.0, "noise"), (0.006, 1.0, "system"))
+    )  # fmt: skip
+    told = told_by_dips(modal.ModalModel(modes=(known, unknown, sure), dt=0.01, indicator_caution=0.1))
+    assert [mode.verdict for mode in told] == ["doubtful", "noise", "system"]
+    assert "dips of the force" in told.modes[0].reason
+    assert told.modes[2] is sure
 
 
 def test_a_white_force_has_no_dips():
