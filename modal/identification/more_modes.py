@@ -23,7 +23,7 @@ from era.realisation import Realisation
 from modal.estimation.fits import fit_of, model_runs
 from modal.identification.result import Identification
 from modal.modes.modal_form import discrete_poles, modal_basis
-from modal.modes.modal_mass import driving_point_of, hold_words, normalise_shapes
+from modal.modes.modal_mass import driving_point_of, normalise_shapes, phase_words
 from modal.modes.mode import Choice, Fit, ModalModel, Mode, Uncertainty, numbered
 from modal.preparation.band import follows_powers, missed_share, share_that_follows
 from modal.verdict.judgement import DOUBTED
@@ -260,7 +260,7 @@ def with_modal_mass(identification: Identification, *, driving_point: tuple[str,
         identification,
         modes=replace(model, modes=modes),
         choices=(*identification.choices, Choice(what="driving point", value=f"{output}, {force}", reason=reason)),
-        warnings=(*identification.warnings, *filter(None, [hold_words(model, acting)])),
+        warnings=(*identification.warnings, *filter(None, [phase_words(model, acting)])),
     )
 
 

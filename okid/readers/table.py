@@ -292,12 +292,8 @@ def _seconds_of_stamps(stamps: FloatArray, name: str) -> float:
     return 1.0
 
 
-SLOW = 0.1
-"""Say that a step was taken for seconds from this size on, where no unit stands: as milliseconds it is common too."""
-
-
-def _check_whole_stamps(table: Table) -> None:
-    """Warn where numbers taken for seconds may count milliseconds, or give dates as such under another header."""
+def _check_whole_stamps(table: Table, *, slow: float = 0.1) -> None:
+    """Warn where numbers taken for seconds may count milliseconds (steps from `slow` on), or then give dates."""
     index = table.time_column()
     if index is None:
         return
@@ -310,7 +306,7 @@ def _check_whole_stamps(table: Table) -> None:
     date = _seconds_of_stamps(stamps, name)
     known = date >= 1.0 if unit else name.startswith("sec") or date != 1.0
     step = (stamps[-1] - stamps[0]) / max(1, len(stamps) - 1)
-    if known or step < (1.0 if whole else SLOW):
+    if known or step < (1.0 if whole else slow):
         return
     said = f"is in {unit}" if unit else "has no unit"
     if date < 1.0:
