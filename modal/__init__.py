@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from modal.comparison.shifts import read_result
     from modal.geometry.file import read_geometry
     from modal.geometry.sensors import Geometry, Sensor
-    from modal.identification.more_modes import with_modes
+    from modal.identification.more_modes import with_modal_mass, with_modes
     from modal.identification.order_search import OrderChoice, choose_orders
     from modal.identification.pipeline import identify
     from modal.identification.result import Identification, OrderEvidence, load
@@ -114,6 +114,7 @@ __all__ = [
     "scaled_response",
     "simulate",
     "track",
+    "with_modal_mass",
     "with_modes",
     "write_model",
     "write_report",
@@ -176,6 +177,7 @@ _PLACES = {
     "scaled_response": "modal.modes.modal_mass",
     "simulate": "modal.structure.given",
     "track": "modal.tracking",
+    "with_modal_mass": "modal.identification.more_modes",
     "with_modes": "modal.identification.more_modes",
     "write_model": "modal.structure.model_file",
     "write_report": "modal.report",

@@ -201,7 +201,9 @@ class Record(Displayed):
         output_names: likewise, else "output_0" ...
         input_units: one a channel, "" where unknown.
         output_units: likewise.
-        input_hold: "zero_order" (a DAC held it), "linear", or "band_limited" (measured through an anti-alias filter).
+        input_hold: "zero_order" (a DAC held it), "linear", or "band_limited" (measured through an anti-alias filter, as
+            most measured forces are and as the readers take files). Modal masses depend on it, modes do not; the phases
+            of the modes tell a wrong one.
         name: of the record, for messages and reports.
         start_time: time of the first sample [s].
 

@@ -68,7 +68,7 @@ def _table(pairs: Sequence[ModePair]) -> Table:
 def _meaning(pair: ModePair, worst: Shift) -> str:
     """What stands out most of a mode; where nothing does, that."""
     if worst.verdict in ("within its interval", "not known"):
-        return words.verdict_change(pair) or ("no change seen" if worst.verdict != "not known" else "not known")
+        return words.verdict_change(pair) or ("no change" if worst.verdict != "not known" else "not known")
     same = [shift.what for shift in pair.shifts if shift.verdict == worst.verdict]
     parts = (f"{' and '.join(same)} {worst.verdict}", words.verdict_change(pair))
     return "; ".join(part for part in parts if part)

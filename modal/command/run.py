@@ -4,6 +4,7 @@ What would stop the work is looked at before it begins: a report that is there, 
 """
 
 import contextlib
+import itertools
 import shlex
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -46,10 +47,12 @@ from modal.command.terminal import (
 from modal.examples.demo import compare_with_truth, demo_geometry, demo_record, demo_truth
 from modal.examples.files import write_files
 from modal.geometry.file import read_geometry
-from modal.geometry.sensors import Geometry
+from modal.geometry.sensors import Geometry, same_dof
+from modal.identification.more_modes import with_modal_mass
 from modal.identification.pipeline import expected_work, identify
 from modal.identification.result import Identification
 from modal.identification.words import trust_of
+from modal.modes.modal_mass import driving_point_of
 from modal.preparation.kind import GivenKind
 from modal.quality.check import check_quality
 from modal.recording.live import log_progress, log_records, log_result
@@ -167,6 +170,7 @@ class Job:
     kind: GivenKind = "auto"
     test: Path | None = None
     geometry: Path | None = None
+    driving_point: tuple[str, ...] = ()
     live: bool = False
     printed: bool = False
 
@@ -224,6 +228,7 @@ class FileSource:
             ("--kind", job.kind),
         ):
             words += [option, str(value)] if value != "auto" else []
+        words += ["--driving-point", ",".join(job.driving_point)] if job.driving_point else []
         for option, path in (("--test", job.test), ("--geometry", job.geometry)):
             words += [option, str(path)] if path is not None else []
         besides = tuple(str(path) for path in (job.test, job.geometry) if path is not None)
@@ -284,6 +289,7 @@ def carry_out(
     ):
         tell("reading", 0.0)
         records, remarks = read()
+        point = chosen_point(records, job.driving_point)
         files_read = fingerprints((*provenance.sources, *provenance.besides))
         if viewer is not None and not isinstance(records, FrequencyResponse):
             log_records(records, viewer)
@@ -304,6 +310,8 @@ def carry_out(
             kind=job.kind,
             progress=progress,
         )
+        if point is not None and result.modes.system:
+            result = with_modal_mass(result, driving_point=point)
         tell("looking at the quality of the data", IDENTIFIED)
         quality = None if isinstance(records, FrequencyResponse) else check_quality(records)
         if viewer is not None:
@@ -327,6 +335,30 @@ def carry_out(
     console = Screen(highlight=False)
     show_result(console, result, remarks=(*remarks, *unseen), limits=limits, quality=quality)
     return Finished(result=result, files=files, pdf=job.pdf, limits=limits, console=console)
+
+
+def chosen_point(records: tuple[Record, ...] | FrequencyResponse, given: Sequence[str]) -> tuple[str, str] | None:
+    """The output and the input of the driving point: those given, in either order, else two that name one place.
+
+    Raises:
+        InvalidDataError: what is given is no output and an input that make one.
+    """
+    channels = records if isinstance(records, FrequencyResponse) else records[0]
+    if given:
+        if len(given) != 2:
+            raise InvalidDataError(
+                f"a driving point is one output and one input, but {len(given)} channels are named; write OUTPUT,INPUT."
+            )
+        one, other = given if given[0] in channels.output_names else given[::-1]
+        driving_point_of(channels, (one, other))
+        return one, other
+    pairs = itertools.product(channels.output_names, channels.input_names)
+    found = [pair for pair in pairs if same_dof(*pair)]
+    with contextlib.suppress(InvalidDataError):  # volts, or strains beside them
+        for pair in found:
+            driving_point_of(channels, pair)
+            return pair
+    return None
 
 
 @contextlib.contextmanager
@@ -371,6 +403,15 @@ GeometryFile = Annotated[
 ]
 
 
+DrivingPoint = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="OUTPUT,INPUT",
+        help="A sensor and a force at one place and in one direction, for modal masses; found where names say it.",
+    ),
+]
+
+
 def run(
     files: Records,
     *,
@@ -391,6 +432,7 @@ def run(
     ] = None,
     test: Test = None,
     geometry: GeometryFile = None,
+    driving_point: DrivingPoint = None,
     observer_order: Annotated[str, typer.Option(metavar="N", help="Past samples the observer uses, or auto.")] = "auto",
     ridge: Annotated[str, typer.Option(metavar="NUMBER", help="Regularisation of the observer fit, or auto.")] = "auto",
     order: Annotated[str, typer.Option(metavar="N", help="Model order (number of states), or auto.")] = "auto",
@@ -414,6 +456,7 @@ def run(
             kind=kind,
             test=test,
             geometry=geometry,
+            driving_point=tuple(name_list(driving_point, "channels of the driving point") or ()),
             live=live,
             printed=pdf,
         )

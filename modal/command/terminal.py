@@ -26,7 +26,7 @@ from modal.acceptance.check import LimitOutcome
 from modal.command.stopping import Requests
 from modal.examples.demo import ModeComparison
 from modal.identification.result import Identification
-from modal.identification.words import damping_text, frequency_text, shown_frequency, trust_of
+from modal.identification.words import damping_text, frequency_text, mass_text, shown_frequency, trust_of
 from modal.modes.mode import Mode, numbered
 from modal.quality import DataQuality
 from modal.recording.live import live_recording
@@ -123,6 +123,9 @@ def show_result(
     believed = [(number, mode) for number, mode in numbered(result.modes.modes) if mode.verdict != "noise"]
     if believed:
         console.print(_mode_table(believed))
+    weighed = [f"{number}: {mass_text(mode)}" for number, mode in believed if math.isfinite(mode.modal_mass)]
+    if weighed:
+        console.print(plain("Modal mass [kg]: ", "bold") + plain(", ".join(weighed)))
     noise = [f"{hertz(shown_frequency(mode))} Hz" for mode in result.modes if mode.verdict == "noise"]
     if noise:
         named = noise[: Shown.MOST_NOISE] + [f"{len(noise) - Shown.MOST_NOISE} more"] * (len(noise) > Shown.MOST_NOISE)

@@ -284,13 +284,14 @@ def propagated(
             f"the records must be those of the observer fit, with (inputs, outputs, rows) {want}, but have {have}."
         )
     moved = _moved_markov(observer, markov, block_deviations(parts, observer.ridge))
-    frequency, damping, shape = _mode_deviations(realisation, modes, moved)
+    frequency, damping, shape, mass = _mode_deviations(realisation, modes, moved)
     scale = observer.output_scale[:, np.newaxis] / observer.input_scale
     return Uncertainty(
         method="propagation",
         frequency_std=frequency,
         damping_ratio_std=damping,
         shape_std=shape,
+        mass_std=mass,
         markov_std=np.sqrt(np.square(moved[..., : observer.n_inputs]).sum(axis=0)) * scale
         if observer.n_inputs
         else np.zeros((markov.n_lags + 1, observer.n_outputs, 0)),
@@ -324,8 +325,11 @@ def _moved_markov(observer: ObserverFit, markov: MarkovParameters, deviations: F
 
 def _mode_deviations(
     realisation: Realisation, modes: Sequence[Mode], moved: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Standard deviations of frequency [Hz], damping ratio and (n_modes, n_outputs) shape; nan where poles coincide."""
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None]:
+    """Standard deviations of frequency [Hz], damping ratio and (n_modes, n_outputs) shape; nan where poles coincide.
+
+    With inputs also (n_modes, n_outputs, n_inputs) of the modal mass, relative, for each driving point.
+    """
     factors = realisation.factors
     if factors is None:
         raise InvalidDataError(
@@ -344,20 +348,31 @@ def _mode_deviations(
     relative = shapes / shapes[place]
     s = np.log(poles) / realisation.dt
     squares = np.zeros((2 + q, poles.size))
+    m = realisation.n_inputs
+    fed, masses = left @ factors.controllability[:, :m], np.zeros((q, poles.size, m))
+    first_column = np.eye(factors.controllability.shape[1], m)
     for dh in moved:
         operator = BlockHankelOperator.of(dh, factors.n_block_rows + 1, factors.n_block_columns)
         answer = operator.times(to_right) @ right
         change = to_left @ answer[q:] - poles * (to_left @ answer[:-q])
         ds = change.diagonal() / (poles * realisation.dt)
         dc = shapes @ (change * share) + factors.output_scale[:, np.newaxis] * answer[:q]
+        if m:  # ln mass = ln c_d - 2 ln c_largest - ln b, d the driving point
+            db = to_left @ operator.times(first_column)[:-q] - (to_left @ answer[:-q] + change * share) @ fed
+            with np.errstate(divide="ignore", invalid="ignore"):
+                moving = dc / shapes - 2.0 * dc[place] / shapes[place]
+                masses += np.square((moving[..., np.newaxis] - db / fed).real)
         dc = (dc - relative * dc[place]) / shapes[place]
         dc[place] = 0.0
         growth = (s.conj() * ds).real / np.abs(s)
         damping = (s.real * growth / np.abs(s) - ds.real) / np.abs(s)
         squares += np.vstack([(growth / (2 * np.pi)) ** 2, damping**2, np.abs(dc) ** 2])
     deviations = np.sqrt(squares)
+    masses = np.sqrt(masses)
     deviations[:, np.linalg.norm(left, axis=1) * np.linalg.norm(right, axis=0) >= INSEPARABLE] = np.nan
-    return deviations[0, which], deviations[1, which], deviations[2:, which].T
+    masses[:, np.isnan(deviations[0])] = np.nan
+    mass = masses[:, which].transpose(1, 0, 2) if m else None
+    return deviations[0, which], deviations[1, which], deviations[2:, which].T, mass
 
 
 def _matched(modes: tuple[Mode, ...], poles: ComplexArray, dt: float) -> np.ndarray:

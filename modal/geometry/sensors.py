@@ -111,6 +111,17 @@ def dof_of(name: str) -> Dof | None:
     )
 
 
+def same_dof(one: str, other: str) -> bool:
+    """Whether two names state one place and one direction, whatever else stands before or after it.
+
+    Example:
+        >>> same_dof("12Z+", "force 12Z+"), same_dof("12Z+", "hammer 2Z+"), same_dof("12Z+", "force 12Z-")
+        (True, False, False)
+    """
+    stated = [{dof_of(part) for part in (name, *name.split())} - {None} for name in (one, other)]
+    return bool(stated[0] & stated[1])
+
+
 RESOLVED: Final = 0.05
 """Leave out singular values below this share of the largest: two directions less than 5.7 degrees apart are one."""
 

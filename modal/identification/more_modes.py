@@ -12,6 +12,7 @@ A mode is taken out of a model exactly: with its right vectors R and left vector
 subspace of all other poles, and a state x = R a + N b has b = N' (x - R L x) there, for N an orthonormal basis of it.
 """
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -22,12 +23,13 @@ from era.realisation import Realisation
 from modal.estimation.fits import fit_of, model_runs
 from modal.identification.result import Identification
 from modal.modes.modal_form import discrete_poles, modal_basis
+from modal.modes.modal_mass import driving_point_of, normalise_shapes, phase_words
 from modal.modes.mode import Choice, Fit, ModalModel, Mode, Uncertainty, numbered
 from modal.preparation.band import follows_powers, missed_share, share_that_follows
 from modal.verdict.judgement import DOUBTED
 from modal.verdict.probability import FILTER_EDGE, LEAST_FIT, MOST_MISSED
 from modal.wording.text import NINETY_FIVE, fit_text, hertz, listed
-from okid.errors import IdentificationError, InvalidDataError
+from okid.errors import IdentificationError, IdentificationWarning, InvalidDataError
 from okid.record import Record
 
 
@@ -221,6 +223,45 @@ def with_modes(identification: Identification, *, add: Sequence[int] = (), drop:
     reason = f"the user's choice; the free run through all rows fits by {fit_text(float(result.fit.whole.mean()))}"
     choice = Choice(what="modes by hand", value=value, reason=f"{reason}, {fit_text(before)} before")
     return replace(result, choices=(*result.choices, choice))
+
+
+def with_modal_mass(identification: Identification, *, driving_point: tuple[str, str]) -> Identification:
+    """The identification with the modal mass of each mode, for the report and every table.
+
+    Args:
+        identification: with a force among its inputs.
+        driving_point: name of the output and of the input [N] at one place and in one direction.
+
+    Returns:
+        The same, `modal_mass` and `modal_mass_std` of its modes of the system known [kg], the driving point among its
+        `choices`. Where the point cannot be one, because a mode has a negative mass there, the sentence is a warning.
+
+    Raises:
+        InvalidDataError: no such channel, or units that give no modal mass in kg.
+    """
+    model = identification.modes
+    output, force = driving_point
+    _, acting = driving_point_of(model, driving_point)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", IdentificationWarning)
+            scaled = normalise_shapes(model, driving_point=driving_point)
+    except InvalidDataError as error:
+        return replace(identification, warnings=(*identification.warnings, f"There is no modal mass: {error}"))
+    known = zip(scaled.modal_mass.tolist(), scaled.modal_mass_std.tolist(), strict=True)
+    modes = tuple(
+        replace(mode, **dict(zip(("modal_mass", "modal_mass_std"), next(known), strict=True)))
+        if mode.verdict == "system"
+        else mode
+        for mode in model
+    )
+    reason = "a sensor and a force at one place and in one direction give modal masses"
+    return replace(
+        identification,
+        modes=replace(model, modes=modes),
+        choices=(*identification.choices, Choice(what="driving point", value=f"{output}, {force}", reason=reason)),
+        warnings=(*identification.warnings, *filter(None, [phase_words(model, acting)])),
+    )
 
 
 def _was(mode: Mode) -> str:

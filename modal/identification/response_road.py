@@ -121,6 +121,11 @@ class _Found:
     likelihood: float
     finer: int
 
+    @property
+    def weighed(self) -> float:
+        """Logarithm of the likelihood less ln N / 2 a parameter: windows need not have as many poles (Schwarz)."""
+        return self.likelihood - 0.5 * self.fit.n_parameters * float(np.log(2 * int(self.table.known.sum())))
+
 
 def identify_response(
     response: FrequencyResponse,
@@ -154,8 +159,8 @@ def identify_response(
         # each with its own poles, and under a force with dips if there is one: a dip passes for another window
         others = (_search(response, window, order, found.finer) for window in windows[1:])
         each = [_under_dips(one) for one in (found, *others)]
-        tried = {one.table.window: one.likelihood for one in each}
-        found = max(each, key=lambda one: one.likelihood)
+        tried = {one.table.window: one.weighed for one in each}
+        found = max(each, key=lambda one: one.weighed)
         tell("identifying again with halves of the averages, other lags and orders", 0.6)
         result = _judged(found, order, tried)
         result = replace(result, response=given, warnings=(*dead, *backwards, *result.warnings))
@@ -538,7 +543,7 @@ def _choices(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWi
     else:
         most = max(tried.values())
         others = ", ".join(f"{name} {most - value:.3g}" for name, value in tried.items() if value < most)
-        why = f"the most likely of those tried; log-likelihoods below it: {others or 'none'}"
+        why = f"the most likely of those tried; below it in ln L less ln N / 2 a parameter: {others or 'none'}"
     kind = Choice(what="record kind", value="response", reason="a table of frequency responses was given")
     choices = [kind, Choice(what="window", value=table.window, reason=why)]
     if order != "auto":

@@ -23,6 +23,7 @@ from modal.identification.noise_model import NoiseModel
 from modal.identification.order_search import Search
 from modal.identification.refined_search import MOST_STEPS
 from modal.identification.result import Identification, OrderEvidence
+from modal.modes.modal_mass import DERIVATIVES
 from modal.modes.mode import Choice, Fit, ModalModel, Mode
 from modal.verdict.excitation import BetweenLines
 from modal.verdict.judgement import DOUBTED, Reruns
@@ -528,6 +529,25 @@ def damping_shown(mode: Mode) -> str:
 def shown_frequency(mode: Mode) -> float:
     """The natural frequency [Hz]; half the sampling frequency for a pole on the negative real axis, which has none."""
     return mode.frequency if mode.kind != "nyquist" else abs(mode.pole.imag) / (2.0 * math.pi)
+
+
+def mass_text(mode: Mode) -> str:
+    """Modal mass in kg, with its 95 % interval where that is known; a dash without a driving point."""
+    return "–" if math.isnan(mode.modal_mass) else with_interval(mode.modal_mass, NINETY_FIVE * mode.modal_mass_std)
+
+
+def mass_sentence(result: Identification) -> str:
+    """What the modal masses are of, or how to get them where a force was measured; "" where none was."""
+    points = [choice.value for choice in result.choices if choice.what == "driving point"]
+    if points:
+        return f"Modal mass: of the shape whose largest component is 1, from the driving point {points[0]}."
+    forces = [unit in ("", "N") for unit in result.channels.input_units]
+    if not any(forces) or result.record_kind == "decay" or not set(result.channels.output_units) <= set(DERIVATIVES):
+        return ""
+    return (
+        "No modal mass: no sensor is known to be where a force acts and in its direction; name the two with "
+        "--driving-point OUTPUT,INPUT."
+    )
 
 
 def frequency_text(mode: Mode) -> str:

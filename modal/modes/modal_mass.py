@@ -4,13 +4,18 @@
 shape psi of unit modal mass, w = Im s_r. At a driving point, where o and i are one place and direction, the residue
 R = psi^2 / (2 j w) gives the scale; the residue of a velocity or an acceleration is divided by s_r or s_r^2 first. The
 modal mass of the shape whose largest component is 1 is then 1 / psi_largest^2.
+
+What the force did between the samples changes the size of R, and turns its phase by w dt / 2. Modes of light damping
+have real shapes, so the phases tell a wrong `input_hold` wherever it matters: they turn more than a size changes.
 """
 
-from collections.abc import Mapping
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from modal.modes.modal_form import largest_component
 from modal.modes.mode import ModalModel, Mode
@@ -18,10 +23,18 @@ from modal.modes.response_synthesis import continuous_residue
 from modal.wording.text import NINETY_FIVE
 from okid.arrays import ComplexArray, FloatArray, frozen
 from okid.display import Displayed
-from okid.errors import InvalidDataError
+from okid.errors import IdentificationWarning, InvalidDataError
+from okid.frequency_response import FrequencyResponse
+from okid.record import InputHold, Record
 
 DERIVATIVES = {"m": 0, "rad": 0, "m/s": 1, "rad/s": 1, "m/s^2": 2, "rad/s^2": 2}
 """Divide the residue of a channel in this unit so many times by the pole to get that of a displacement."""
+
+HEARD = 0.2
+"""Listen to a mode at an input only where its mass there is known to this: its phase is then one of ten at random."""
+
+Channels = ModalModel | Record | FrequencyResponse
+"""What has inputs and outputs with names and units."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
@@ -119,8 +132,10 @@ def reciprocity_error(model: ModalModel, first: tuple[str, str], second: tuple[s
     References:
         Ewins, Modal Testing, 2nd edition, 2000, section 2.4 (Maxwell's reciprocity).
     """
-    (a, at_a), (b, at_b) = (_driving_point(model, point) for point in (first, second))
+    (a, at_a), (b, at_b) = (driving_point_of(model, point) for point in (first, second))
+    _check_any(model)
     powers = _derivatives(model)
+    _warn(phase_words(model, at) for at in (at_a, at_b))
     modes = model.system
     difference, spread = np.empty((2, len(modes)))
     for k, mode in enumerate(modes):
@@ -152,8 +167,10 @@ def normalise_shapes(model: ModalModel, *, driving_point: tuple[str, str]) -> Sc
     References:
         Ewins, Modal Testing, 2nd edition, 2000, section 2.4; Brandt, Noise and Vibration Analysis, 2011, section 6.4.
     """
-    output, force = _driving_point(model, driving_point)
+    output, force = driving_point_of(model, driving_point)
+    _check_any(model)
     powers = _derivatives(model)
+    _warn([phase_words(model, force)])
     shapes = np.array([_unit_mass(model, mode, output, force, powers) for mode in model.system]).T
     largest = largest_component(shapes)
     mass = 1.0 / np.abs(largest) ** 2
@@ -311,6 +328,7 @@ def base_participation(model: ModalModel, *, base: str, masses: Mapping[str, flo
         raise InvalidDataError("the model has no system mode, so none takes part.")
     powers = _derivatives(model)
     acting = model.input_names.index(base)
+    _warn([phase_words(model, acting)])
     factors, spread = np.empty((2, len(model.output_names), len(model.system)))
     for k, mode in enumerate(model.system):
         residue = continuous_residue(mode, model.dt, hold=model.input_hold)[:, acting] / mode.pole**powers
@@ -334,7 +352,7 @@ def _unit_mass(model: ModalModel, mode: Mode, output: int, force: int, powers: n
     residue = continuous_residue(mode, model.dt, hold=model.input_hold)[output, force] / mode.pole ** powers[output]
     square = 2j * mode.pole.imag * residue
     spread = np.nan if mode.mass_std is None else float(mode.mass_std[output, force])
-    if NINETY_FIVE * spread >= 1.0:  # a node of the mode: its mass may have either sign
+    if NINETY_FIVE * spread >= 1.0 or square == 0:  # a node: a mass of either sign; or nothing drives it
         return np.full_like(shape, np.nan)
     if not square.real > 0:
         raise InvalidDataError(
@@ -345,28 +363,82 @@ def _unit_mass(model: ModalModel, mode: Mode, output: int, force: int, powers: n
     return scaled
 
 
-def _driving_point(model: ModalModel, point: tuple[str, str]) -> tuple[int, int]:
-    """Indices of the output and the input [N]."""
+def driving_point_of(channels: Channels, point: tuple[str, str]) -> tuple[int, int]:
+    """Indices of the output and of the input of a driving point.
+
+    Raises:
+        InvalidDataError: no such channel, or units that give no modal mass in kg.
+    """
     output_name, input_name = point
-    if not model.input_names:
+    if not channels.input_names:
         raise InvalidDataError(
             "modal mass needs a driving point, a force measured where and in the direction in which a sensor measures; "
-            "this model has no inputs; identify it with the force among them."
+            "here is no input; identify with the force among them."
         )
-    for name, names, kind in ((output_name, model.output_names, "output"), (input_name, model.input_names, "input")):
+    ends = ((output_name, channels.output_names, "output"), (input_name, channels.input_names, "input"))
+    for name, names, kind in ends:
         if name not in names:
             raise InvalidDataError(f"there is no {kind} {name!r}; the {kind}s are {', '.join(names) or 'none'}.")
-    _check_input(model, input_name, "N", "modal mass needs a force")
+    _check_input(channels, input_name, "N", "modal mass needs a force")
+    _derivatives(channels)
+    return channels.output_names.index(output_name), channels.input_names.index(input_name)
+
+
+def squared_residues(
+    modes: Sequence[Mode], dt: float, powers: npt.NDArray[np.intp], *, hold: InputHold
+) -> ComplexArray:
+    """(n_modes, n_inputs) sums over the outputs of (2 j w R)^2, R those of displacements: positive for real shapes."""
+    residues = [continuous_residue(mode, dt, hold=hold) / mode.pole ** powers[:, np.newaxis] for mode in modes]
+    return np.array([((2j * mode.pole.imag * one) ** 2).sum(axis=0) for mode, one in zip(modes, residues, strict=True)])
+
+
+def phase_words(model: ModalModel, force: int, *, chance: float = 1e-3, closer: float = 3.0) -> str:
+    """That the phases of the modes contradict what the input is said to do between samples; "" where they do not.
+
+    Args:
+        model: with names and units.
+        force: index of the input.
+        chance: accuse where noise alone turns the phases so far with this probability at most.
+        closer: and where the other hold leaves so many times less, as damping that turns phases does not; with one
+            dashpot on a chain 3 of 9600 models were accused of a right hold, lightly damped wrong ones in 93 to 100 %.
+    """
+    known = [mode for mode in model.system if mode.kind == "oscillatory" and mode.mass_std is not None]
+    stds = np.array([mode.mass_std[np.abs(mode.shape).argmax(), force] for mode in known if mode.mass_std is not None])
+    modes = [mode for mode, std in zip(known, stds, strict=True) if 0.0 < std < HEARD]
+    if not modes:
+        return ""
+    stds = stds[(stds > 0.0) & (stds < HEARD)]
+    other: InputHold = "band_limited" if model.input_hold == "zero_order" else "zero_order"
+    powers = _derivatives(model)
+    stated, otherwise = (
+        squared_residues(modes, model.dt, powers, hold=hold)[:, force] for hold in (model.input_hold, other)
+    )
+    turned, less = (np.sqrt(np.mean((0.5 * np.angle(squares)) ** 2)) for squares in (stated, otherwise))
+    if scipy.special.chdtrc(stds.size, np.sum((0.5 * np.angle(stated) / stds) ** 2)) > chance or turned < closer * less:
+        return ""
+    change = np.abs(np.sqrt(np.abs(stated / otherwise)) - 1.0).max()
+    return (
+        f"The phases of the modes do not fit the input_hold {model.input_hold} of {model.input_names[force]}: they are "
+        f"{np.degrees(turned):.1f} degrees off, {np.degrees(less):.1f} with {other}; state that (--hold {other}), or "
+        f"look for channels half a sample apart; modal masses depend on it by up to {100 * change:.2g} %."
+    )
+
+
+def _warn(sentences: Iterable[str]) -> None:
+    for sentence in filter(None, dict.fromkeys(sentences)):
+        warnings.warn(sentence, IdentificationWarning, stacklevel=3)
+
+
+def _check_any(model: ModalModel) -> None:
     if not model.system:
         raise InvalidDataError("the model has no system mode, so there is no shape to scale.")
-    return model.output_names.index(output_name), model.input_names.index(input_name)
 
 
-def _derivatives(model: ModalModel) -> npt.NDArray[np.intp]:
+def _derivatives(model: Channels) -> npt.NDArray[np.intp]:
     return np.array([_derivative(*both) for both in zip(model.output_names, model.output_units, strict=True)])
 
 
-def _check_input(model: ModalModel, name: str, unit: str, needs: str) -> None:
+def _check_input(model: Channels, name: str, unit: str, needs: str) -> None:
     """That the input, where its unit is stated, has this one."""
     stated = dict(zip(model.input_names, model.input_units, strict=False)).get(name, "")
     if stated not in ("", unit):

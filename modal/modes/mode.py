@@ -45,6 +45,8 @@ class Mode(Displayed):
         shape_std: (n_outputs,) root mean square distance of each complex component from its own mean; None: not known.
         mass_std: (n_outputs, n_inputs) relative standard deviation of the modal mass with that output and input as
             driving point; None: not known.
+        modal_mass: [kg] of the shape whose largest component is 1; nan until a driving point is named.
+        modal_mass_std: [kg]; nan likewise.
         shape: (n_outputs,) complex, output units; largest component 1.
         participation: (n_inputs,) complex; the residue matrix of the pulse response is outer(shape, participation), so
             system[k] = 2 Re(shape participation' lambda^(k-1)) for a pair (without the 2 Re for a real pole).
@@ -76,6 +78,8 @@ class Mode(Displayed):
     damping_ratio_std: float = np.nan
     shape_std: FloatArray | None = None
     mass_std: FloatArray | None = None
+    modal_mass: float = np.nan
+    modal_mass_std: float = np.nan
     amplitude_coherence: float = np.nan
     phase_collinearity: float = np.nan
     emac_output: float = np.nan
@@ -190,8 +194,8 @@ class ModalModel(Displayed):
 
 TABLE_COLUMNS = (
     *("frequency", "frequency_std", "damping_ratio", "damping_ratio_std", "probability", "verdict", "kind"),
-    *("damping_resolved", "repeatability", "gain", "amplitude_coherence", "phase_collinearity", "emac", "cmi", "msv"),
-    *("mpd", "reason"),
+    *("damping_resolved", "modal_mass", "modal_mass_std", "repeatability", "gain", "amplitude_coherence"),
+    *("phase_collinearity", "emac", "cmi", "msv", "mpd", "reason"),
 )
 """Fields of a mode that are columns of its table."""
 

@@ -18,9 +18,8 @@ import numpy as np
 import scipy
 
 from era.realisation import Realisation
-from modal.modes.modal_mass import DERIVATIVES
+from modal.modes.modal_mass import DERIVATIVES, HEARD, squared_residues
 from modal.modes.mode import Choice, ModalModel
-from modal.modes.response_synthesis import continuous_residue
 from modal.preparation.quick_model import observer_order
 from okid.arrays import CHUNK_VALUES, ComplexArray, FloatArray, whole_number
 from okid.errors import InsufficientDataError, InvalidDataError
@@ -45,8 +44,6 @@ EXCITED = 0.5
 hit at late lags only say nothing about early ones."""
 REAL = 0.05
 """Take a residue for real within this angle [rad]: the scale of its mode is then right to a thousandth."""
-HEARD = 0.2
-"""Listen to a mode at an input only where its mass there is known to this: its phase is then one of ten at random."""
 EVEN_ODDS = 0.05
 """Take back a delay, or a part of it, where the phases fit what is left so much better: a delay is at most the lags
 that are empty, and any number up to them is as likely."""
@@ -247,12 +244,10 @@ def delay_of_phases(modes: ModalModel, samples: Sequence[int], *, longest: int) 
     known = all(power is not None for power in powers)
     turns = (0.0,) if known else (0.0, 0.5 * np.pi)  # displacements or accelerations, or else velocities
     angular = np.array([mode.pole.imag for mode in system]) * modes.dt
-    squares = np.empty((len(system), len(samples)), dtype=np.complex128)
+    taken_off = np.array(powers if known else np.zeros(len(powers)), dtype=np.intp)
+    squares = squared_residues(system, modes.dt, taken_off, hold=modes.input_hold)
     heard = np.ones(squares.shape, dtype=np.bool_)
     for r, mode in enumerate(system):
-        power = np.array(powers, dtype=np.float64) if known else np.zeros(len(powers))
-        residue = continuous_residue(mode, modes.dt, hold=modes.input_hold) / mode.pole ** power[:, np.newaxis]
-        squares[r] = ((2j * mode.pole.imag * residue) ** 2).sum(axis=0)
         if mode.mass_std is not None:  # at a node of the mode the phase is that of the noise
             heard[r] = mode.mass_std.min(axis=0) < HEARD
     found = []

@@ -16,7 +16,15 @@ import numpy as np
 
 from modal.geometry.placement import Placement, placed
 from modal.identification.result import Identification
-from modal.identification.words import caution_sentence, damping_shown, damping_text, frequency_text, trust_of
+from modal.identification.words import (
+    caution_sentence,
+    damping_shown,
+    damping_text,
+    frequency_text,
+    mass_sentence,
+    mass_text,
+    trust_of,
+)
 from modal.modes.mode import Mode, numbered
 from modal.plots.results import shape_assurance
 from modal.report.pictures import NOTHING_BESIDES, Picture, PictureLimits, Setting
@@ -139,6 +147,7 @@ def environment(*, html: bool) -> "jinja2.Environment":
     made.filters["lines"] = _lines
     made.filters["frequency"] = frequency_text
     made.filters["damping"] = damping_text
+    made.filters["mass"] = mass_text
     made.filters["damping_shown"] = damping_shown
     made.filters["hertz"] = hertz
     made.filters["percent"] = ratio_text
@@ -325,6 +334,8 @@ def _mode_values(result: Identification, setting: Setting) -> dict[str, object]:
         "summary": believed[: PageLimits.MOST_SUMMED_UP],
         "changes": _changes(mode for _, mode in believed),
         "remarked": any(words.remark_of(mode) for _, mode in believed[: PageLimits.MOST_SUMMED_UP]),
+        "weighed": bool(np.isfinite([mode.modal_mass for mode in modes]).any()),
+        "mass_sentence": mass_sentence(result),
         "least_part": LEAST_PART,
         "n_more_modes": max(0, len(believed) - PageLimits.MOST_SUMMED_UP),
         "indicators": INDICATORS,

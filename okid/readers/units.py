@@ -82,6 +82,8 @@ SPELLINGS = {
     **dict.fromkeys(("microns", "Mikrometer"), "micrometer"),
     "Bar": "bar",
     "PSI": "psi",
+    **dict.fromkeys(("metre", "metres", "meters"), "meter"),
+    **dict.fromkeys(("kilonewton", "kilonewtons"), "kN"),
     "KN": "kN",
     "KPa": "kPa",
 }
@@ -171,6 +173,13 @@ _ROTATION_WORDS = re.compile(
     r"speed|dreh|rpm|rotat|spin|vitesse|régime|regime|motor|shaft|omega|\bn(_|$)", re.IGNORECASE
 )
 _LAST_WORD = re.compile(r"(?:^|[\s_,;/.-])([^\W_]+)\W*$")
+_TAILS = (
+    re.compile(r"\s(?:in|en)\s+(\S+(?: \S+)?)$"),
+    re.compile(r"\s/\s*(\S+)$"),
+    re.compile(r"^[^\W\d]\w*/([^\W\d_]+)$"),
+    re.compile(r"\s(\S*[/^²³]\S*)$"),
+)
+"""Where a name may end in a unit without brackets: "Weg in mm", "a / m/s²", "Kraft/N", "Vibration mm/s"."""
 _INSIDE = re.compile(r"[\[({<]([^\[\](){}<>]*)[\])}>]")
 _SIGNS = str.maketrans(dict.fromkeys("⋅∙•*", "·") | {"μ": "µ", "−": "-"})
 _DOT = re.compile(r"(?<=[A-Za-z])(?:[.-]| *· *| +)(?=[A-Za-z])")
@@ -316,10 +325,18 @@ def _unread_unit(channel: str) -> str:
         return (
             f"{inside[0]!r} stands within the name; if it is the unit, write it last: the values are kept as they are"
         )
+    tails = [found[1] for found in (tail.search(channel.strip()) for tail in _TAILS) if found]
     last = _LAST_WORD.search(channel)
-    if last is None or (last[1] not in SCALED and last[1].lower() != "rpm"):
+    scaled = last is not None and (
+        last[1] in SCALED or last[1].lower() == "rpm" or (last[1] == "N" and _FORCE_WORDS.search(channel) is not None)
+    )
+    units = [text for text in tails if looks_like_unit(text) or text in PER_MINUTE] + [
+        last[1] if last and scaled else ""
+    ]
+    written = units[0]
+    if not written:
         return ""
-    return f"the name ends in {last[1]!r}; if that is the unit, write it in brackets: the values are kept as they are"
+    return f"the name ends in {written!r}; if that is the unit, write it in brackets: the values are kept as they are"
 
 
 def is_unit(text: str) -> bool:
@@ -353,6 +370,7 @@ _OTHER_UNITS = frozenset(
     [
         *("g", "mg", "gn", "lb", "lbs", "oz", "G", "kg", "mAh", "C", "F"),
         *("counts", "count", "raw", "digits", "lsb", "LSB", "-", "%", "a.u.", "1/min", "min-1"),
+        *("mG", "ue", "µe", "µε", "ustrain", "microstrain", "milli-g"),
     ]
 )
 """What else a pair of parentheses may hold to be read as a unit; what converts to SI is known already."""
@@ -379,7 +397,7 @@ def split_header(header: str) -> tuple[str, str]:
         unit = match["unit"] or match["curly"] or match["angle"] or ""
         return match["name"][:MAX_NAME], unit.strip()[:MAX_NAME]
     match = PARENTHESIS.match(header)
-    if match and match["name"] and looks_like_unit(match["unit"].strip()):
+    if match and match["name"] not in {"", "dB"} and looks_like_unit(match["unit"].strip()):
         return match["name"][:MAX_NAME], match["unit"].strip()
     return header[:MAX_NAME], ""
 

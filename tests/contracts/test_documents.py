@@ -214,3 +214,17 @@ def test_ci_pins_a_version_within_bounds_and_a_hash_for_all_that_is_installed(re
     wanted = text["project"]["dependencies"] + text["dependency-groups"]["test"]
     for name, least in (each.lower().split(">=") for each in wanted):
         assert tuple(map(int, pinned[name].split(".")[:3])) >= tuple(map(int, least.split("."))), name
+
+
+def test_recipe_and_citation_say_what_pyproject_says(repository):
+    project = tomllib.loads((repository / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    recipe = (repository / "modal" / "docs" / "site" / "recipe.yaml").read_text(encoding="utf-8")
+    run = re.search(r"  run:\n((?:    - .*\n)+)", recipe)[1].replace("matplotlib-base", "matplotlib")
+    assert re.findall(r"- (.*)", run) == [
+        each.replace(">=", " >=") for each in (f"python{project['requires-python']}", *project["dependencies"])
+    ]
+    version = re.search(r'__version__ = "(.*)"', (repository / "okid" / "__init__.py").read_text(encoding="utf-8"))[1]
+    cited = (repository / "modal" / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"\n  version: {version}\n" in recipe
+    assert f"\nversion: {version}\n" in cited
+    assert f"\nlicense: {project['license']}\n" in cited

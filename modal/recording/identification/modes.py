@@ -25,7 +25,7 @@ from modal.geometry.scene import (
     scene_of,
 )
 from modal.identification.result import Identification
-from modal.identification.words import damping_text
+from modal.identification.words import damping_text, mass_sentence, mass_text
 from modal.modes.mode import Mode
 from modal.modes.shape_comparison import assurance
 from modal.recording.figure import Palette, Pane, RecordingStream, document_view, plot_view, rr, rrb
@@ -153,8 +153,8 @@ REASON_LETTERS: Final = 90
 """Show so many letters of a reason beside the numbers; the whole of a longer one stands below the table."""
 
 HEAD: Final = (
-    *("", "f [Hz]", "ζ [%]", "verdict", "repeats", "P", "gain", "γ", "EMAC out", "EMAC in", "EMAC", "MPC", "MPD [°]"),
-    *("shape", "CMI", "MSV", "kind", "why"),
+    *("", "f [Hz]", "ζ [%]", "mass [kg]", "verdict", "repeats", "P", "gain", "γ", "EMAC out", "EMAC in", "EMAC", "MPC"),
+    *("MPD [°]", "shape", "CMI", "MSV", "kind", "why"),
 )
 
 
@@ -187,7 +187,8 @@ def _key(identification: Identification, plan: Plan) -> str:
         "modal amplitude coherence. MPC: phase collinearity. MPD: mean phase deviation. CMI = EMAC · MPC. MSV: mode "
         "singular value over the largest. "
         f"n/(pq) = {known(caution, '.2f')}"
-        + (": the indicators test the observer more than the data." if caution > 0.3 else ".")
+        + (": the indicators test the observer more than the data. " if caution > 0.3 else ". ")
+        + mass_sentence(identification)
     )
 
 
@@ -205,6 +206,7 @@ def _row(number: int, mode: Mode) -> list[str]:
         str(number),
         f"{strong}{_frequency(mode)}{strong}",
         damping if resolved else damping_text(mode),
+        mass_text(mode),
         f"{strong}{mode.verdict}{strong}",
         *[known(value, ".2f") for value in (mode.repeatability, mode.probability)],
         known(mode.gain, ".2g"),
@@ -254,6 +256,8 @@ FIELDS: Final = (
     "damping_ratio",
     "damping_ratio_std",
     "damping_resolved",
+    "modal_mass",
+    "modal_mass_std",
     "repeatability",
     "probability",
     "gain",

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy
 from typer.main import get_command
 from typer.testing import CliRunner
 
@@ -21,7 +22,9 @@ import modal.recording
 from modal.command.main import app
 from modal.command.main import status as _status
 from modal.command.options import plain_name, spread_files
+from modal.command.run import chosen_point
 from modal.comparison.shifts import read_result
+from okid.record import Record
 
 COMMAND = [sys.executable, "-c", "from modal.command.entry import main; main()"]
 HERE = Path(modal.identification.pipeline.__file__).parents[2]
@@ -608,3 +611,46 @@ def test_a_pdf_is_printed_from_the_page(data, quick, monkeypatch):
     assert result.exit_code == 0, result.output
     assert (data / "out" / "report.pdf").read_text() == "printed report.html"
     assert str(data / "out" / "report.pdf") in result.stdout
+
+
+def masses_on_springs(rng, n_samples, dt):
+    """Force at the second of two masses and both displacements: exact for a held force, of nothing of ours."""
+    mass, stiffness = np.diag([2.0, 1.5]), 1e4 * np.array([[3.0, -1.0], [-1.0, 1.5]])
+    squares, shapes = scipy.linalg.eigh(stiffness, mass)
+    force = rng.standard_normal(n_samples)
+    motion = np.zeros((n_samples, 2))
+    for square, shape in zip(squares, shapes.T, strict=True):
+        pole = np.sqrt(square) * complex(-0.02, np.sqrt(1 - 0.02**2))
+        step = np.exp(pole * dt)
+        state = scipy.signal.lfilter([0, (step - 1) / pole / pole.imag], [1, -step], force.astype(complex))
+        motion += np.outer(state.imag * shape[1], shape)
+    motion += 0.003 * motion.std(axis=0) * rng.standard_normal(motion.shape)
+    return np.column_stack([dt * np.arange(n_samples), force, motion]), 1 / np.abs(shapes).max(axis=0) ** 2
+
+
+def test_modal_masses_come_from_a_driving_point_that_the_names_tell(tmp_path, quick, capsys, monkeypatch):
+    monkeypatch.setattr("modal.command.run.identify", modal.identification.pipeline.identify)
+    table, masses = masses_on_springs(np.random.default_rng(4), 400, 0.005)
+    header = "time [s],force 2X+ [N],1X+ [m],2X+ [m]"
+    np.savetxt(tmp_path / "test.csv", table, delimiter=",", header=header, comments="")
+    given = ("--hold", "zero_order", "--order", "4", "--observer-order", "8", "-o", str(tmp_path / "out"))
+    assert _status(["run", str(tmp_path / "test.csv"), "--inputs", "force 2X+", *given]) == 0
+    assert "Modal mass [kg]: 1: " in capsys.readouterr().out
+    modes = json.loads((tmp_path / "out" / "report.json").read_text())["modes"]["table"]
+    found, std = np.array([[mode["modal_mass"], mode["modal_mass_std"]] for mode in modes]).T
+    assert np.abs(found - masses) == pytest.approx(0.0, abs=4 * std.max())
+    assert (std < 0.01 * masses).all()
+    for name, words in (("html", "modal mass [kg]</th>"), ("md", "| modal mass [kg] |"), ("md", "driving point 2X+")):
+        assert words in (tmp_path / "out" / f"report.{name}").read_text()
+    assert "modal_mass_std" in (tmp_path / "out" / "modes.csv").read_text()
+
+
+def test_a_driving_point_is_named_in_either_order_and_is_checked_before_any_work(data, quick, capsys):
+    table = np.arange(20.0).reshape(5, 4)
+    record = Record(table[:, :1], table[:, 1:], 0.1, input_names=["f"], input_units=["N"], output_units=["m"] * 3)
+    assert chosen_point((record,), ["output_1", "f"]) == chosen_point((record,), ["f", "output_1"]) == ("output_1", "f")
+    assert chosen_point((record,), []) is None
+    for wrong in ("tip,wind", "tip", "force", "tip,tip,force"):
+        assert _status(["run", str(data / "good.csv"), "--inputs", "force", "--driving-point", wrong, "-o", "no"]) == 2
+        assert one_sentence(capsys.readouterr().err)
+    assert not quick["calls"]

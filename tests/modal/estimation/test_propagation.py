@@ -51,6 +51,12 @@ def moved_by(observer, direction, step):
     )
 
 
+def log_mass(mode, J):
+    """(n_outputs, n_inputs) logarithm of the mass of the shape whose component J is 1, for each driving point."""
+    residues = np.outer(mode.shape, mode.participation)
+    return -np.log(np.abs(residues)) - 2 * np.log(np.abs(mode.shape[J] / mode.shape))[:, np.newaxis]
+
+
 @pytest.mark.parametrize("n_inputs", [0, 2])
 @pytest.mark.parametrize("seed", range(3))
 def test_deviations_equal_central_differences_of_the_whole_chain(monkeypatch, seed, n_inputs):
@@ -91,6 +97,10 @@ def test_deviations_equal_central_differences_of_the_whole_chain(monkeypatch, se
         assert known.frequency_std[i] == pytest.approx(abs(frequency), rel=1e-5)
         assert known.damping_ratio_std[i] == pytest.approx(abs(damping), rel=1e-5, abs=1e-9)
         np.testing.assert_allclose(known.shape_std[i], np.abs(shape), rtol=1e-5, atol=1e-6 * np.abs(shape).max())
+        if n_inputs:
+            ends = (log_mass(ahead[i], J), log_mass(behind[i], J))
+            mass = np.abs(ends[0] - ends[1]) / (2 * step)
+            np.testing.assert_allclose(known.mass_std[i], mass, rtol=1e-4, atol=1e-5 * mass.max())
     if n_inputs:
         ends = [
             recover_markov(moved_by(parts["observer"], direction, sign), n_lags=60).system for sign in (step, -step)

@@ -1,5 +1,7 @@
 """Modes from frequency responses: exact on exact tables, honest on measured ones, and all the way to the report."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import scipy.signal
@@ -10,6 +12,7 @@ import modal
 import okid
 from modal.command.main import app
 from modal.examples.demo import compare_with_truth, demo_record, demo_truth
+from modal.identification import response_road
 from modal.modes.mode import Mode
 from modal.verdict.judgement import told_by_dips
 from okid.errors import InvalidDataError
@@ -408,3 +411,19 @@ def test_a_peak_beyond_the_last_line_is_not_certain():
         )
         assert [mode.frequency for mode in again.modes.system] == [mode.frequency for mode in modes.system]
         assert not again.warnings
+
+
+def test_a_window_that_takes_more_poles_must_be_likelier_by_what_they_cost(monkeypatch):
+    """Exact lines of the demo were taken for uniform blocks: two poles more beat the right model by 3 in ln L."""
+    search = response_road._search
+
+    def searched(response, window, _order, _finer=1):
+        found = search(response, "periodic", 4 if window == "uniform" else 2)
+        table = dataclasses.replace(found.table, window=window)
+        return dataclasses.replace(found, table=table, likelihood=3.0 if window == "uniform" else 0.0)
+
+    monkeypatch.setattr(response_road, "_search", searched)
+    monkeypatch.setattr(response_road, "_under_dips", lambda found: found)
+    unknown = dataclasses.replace(exact_table(64), window="unknown")
+    chosen = {choice.what: choice.value for choice in modal.identify(unknown).choices}
+    assert chosen["window"] != "uniform"

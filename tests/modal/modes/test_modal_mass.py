@@ -11,7 +11,7 @@ from era.realisation import Realisation
 from modal.modes.extraction import extract_modes
 from modal.modes.modal_mass import base_participation, normalise_shapes
 from modal.modes.mode import ModalModel, Mode
-from okid.errors import InvalidDataError
+from okid.errors import IdentificationWarning, InvalidDataError
 
 MASS = np.diag([2.0, 1.0, 3.0])
 STIFFNESS = 1e4 * np.array([[3.0, -1.0, 0.0], [-1.0, 2.5, -1.5], [0.0, -1.5, 1.5]])
@@ -222,3 +222,31 @@ def test_an_input_in_another_unit_makes_no_wrong_mass_in_silence():
         normalise_shapes(model, driving_point=("a", "f"))
     with pytest.raises(InvalidDataError, match="in m/s\\^2, but f is in kN"):
         base_participation(model, base="f")
+
+
+def with_deviations(model, std, **changes):
+    modes = (dataclasses.replace(mode, mass_std=np.full((3, 1), std), **changes) for mode in model.modes)
+    return dataclasses.replace(model, modes=tuple(modes))
+
+
+@pytest.mark.parametrize("unit", ["m", "m/s^2"])
+def test_the_phases_of_modes_tell_what_the_force_did_between_the_samples(unit):
+    """The force was held; taken for band-limited, the masses are wrong by the sinc of half a sample."""
+    model = with_deviations(known(np.array([[0.0], [0.0], [1.0]]), unit=unit), 0.003)
+    right = normalise_shapes(model, driving_point=("c", "f")).modal_mass  # a warning would be an error here
+    told = dataclasses.replace(model, input_hold="band_limited")
+    steps = np.array([mode.pole for mode in model.system]) * DT
+    factor = np.abs((1 - np.exp(-steps)) / steps)
+    turned, changed = np.degrees(np.sqrt(np.mean((steps.imag / 2) ** 2))), 100 * np.max(1 - factor)
+    with pytest.warns(IdentificationWarning, match=f"{turned:.1f} degrees off, 0.0 with zero_order.*{changed:.2g} %"):
+        wrong = normalise_shapes(told, driving_point=("c", "f")).modal_mass
+    assert wrong == pytest.approx(right / factor, rel=1e-3)
+    noisy = with_deviations(told, 0.15)  # phases that nobody knows accuse nothing
+    normalise_shapes(noisy, driving_point=("c", "f"))
+
+
+def test_a_mode_that_no_measured_force_drives_has_no_mass_and_no_wrong_sign():
+    model = known(np.array([[0.0], [0.0], [1.0]]))
+    undriven = dataclasses.replace(model.modes[1], participation=np.zeros(1), mass_std=None)
+    model = dataclasses.replace(model, modes=(model.modes[0], undriven, model.modes[2]))
+    assert np.isnan(normalise_shapes(model, driving_point=("c", "f")).modal_mass).tolist() == [False, True, False]

@@ -292,3 +292,34 @@ def test_chance_names_an_error_of_units_as_seldom_as_promised():
     """Gains from 1e-4 to 1e4, as likely at one power of ten as at another, known to half a per cent."""
     gains = np.exp(np.random.default_rng(1).uniform(-np.log(1e4), np.log(1e4), 4000))
     assert sum(unit_error(gain, 0.005 * gain) != "" for gain in gains) <= 0.05 * 4000
+
+
+@pytest.mark.parametrize(
+    ("header", "unit"),
+    [
+        ("Weg in mm", "mm"),
+        ("Effort en kN", "kN"),
+        ("Drehzahl in min-1", "min-1"),
+        ("a / m/s²", "m/s²"),
+        ("Kraft/N", "N"),
+        ("Vibration mm/s", "mm/s"),
+        ("force N", "N"),
+    ],
+)
+def test_a_unit_at_the_end_of_a_name_without_brackets_is_said(header, unit):
+    name, written = split_header(header)
+    assert (name, written) == (header, "")
+    assert f"the name ends in {unit!r}" in convert_unit(name, written).note
+
+
+@pytest.mark.parametrize(
+    "header", ["channel A", "side N", "tip/hammer", "left in out", "re/im", "cDAQ1Mod1/ai0", "x/t"]
+)
+def test_a_name_that_only_looks_like_one_is_left_alone(header):
+    assert not convert_unit(header, "").note
+
+
+def test_parentheses_of_loggers_are_units_that_are_not_read_and_a_level_is_no_current():
+    assert "kept as it is" in convert_unit(*split_header("strain (ue)")).note
+    assert split_header("a (mG)") == ("a", "mG")
+    assert split_header("dB(A)") == ("dB(A)", "")
