@@ -390,7 +390,14 @@ class _Layout:
 
 @dataclass(frozen=True, slots=True)
 class Sections:
-    """Sections of two states; the participations of one input in each are held, which fixes its coordinates."""
+    """Sections of two states; the participations of one input in each are held, which fixes its coordinates.
+
+    Attributes:
+        n_measured: sections on which no input beyond the first so many acts, none of the outputs, stay so: the noise is
+            no noise of their states.
+    """
+
+    n_measured: int | None = None
 
     def slopes(self, parameters: ModalParameters) -> FloatArray:
         """See `Coordinates`."""
@@ -413,9 +420,8 @@ class Sections:
             pole = complex(parameters.poles[first])
             if second == -2:
                 add([(0, first, 1 / pole)])
-                for j in range(n_drives):
-                    if j != held:
-                        add([(1 + j, first, 1.0)])
+                for j in self._free(parameters, [first], held):
+                    add([(1 + j, first, 1.0)])
                 continue
             own = [first] if second == -1 else [first, second]
             _, s = _mean_and_root(parameters, first, second)
@@ -428,10 +434,9 @@ class Sections:
                 (1 + j, i, -b1[j] / (4 * r**3)) for j in range(n_drives) for i, r in zip(own, roots, strict=True)
             ]
             add(change)
-            for j in range(n_drives):
-                if j != held:
-                    add([(1 + j, i, 1 / (2 * r)) for i, r in zip(own, roots, strict=True)])
-                    add([(1 + j, i, 0.5 + 0j) for i in own])
+            for j in self._free(parameters, own, held):
+                add([(1 + j, i, 1 / (2 * r)) for i, r in zip(own, roots, strict=True)])
+                add([(1 + j, i, 0.5 + 0j) for i in own])
         return np.array(columns).T
 
     def taken(
@@ -445,29 +450,28 @@ class Sections:
         """See `Coordinates`; None where a pole leaves the unit circle."""
         n_inputs = parameters.inputs.shape[1]
         drives = np.vstack([parameters.inputs.T, parameters.states])
-        n_drives = drives.shape[0]
         layout = _sections(parameters)
         poles: list[complex] = []
         is_pair: list[bool] = []
         columns: list[ComplexArray] = []
         at = 0
         for (first, second), held in zip(layout.members, layout.held, strict=True):
-            free = [j for j in range(n_drives) if j != held]
+            free = self._free(parameters, [first] if second < 0 else [first, second], held)
             if second == -2:
                 column = drives[:, first].copy()
-                column[free] += change[at + 1 : at + n_drives]
+                column[free] += change[at + 1 : at + 1 + len(free)]
                 poles.append(complex(parameters.poles[first].real + change[at]))
                 is_pair.append(False)
                 columns.append(column)
-                at += n_drives
+                at += 1 + len(free)
                 continue
             mean, s = _mean_and_root(parameters, first, second)
             b1, b2 = self._of_section(drives, first, second, s)
             mean, square = mean + change[at], (s * s).real + change[at + 1]
-            own = change[at + 2 : at + 2 * n_drives].reshape(-1, 2)
+            own = change[at + 2 : at + 2 + 2 * len(free)].reshape(-1, 2)
             b1[free] += own[:, 0]
             b2[free] += own[:, 1]
-            at += 2 * n_drives
+            at += 2 + 2 * len(free)
             s = np.sqrt(complex(square)) if abs(square) > ROUNDING**2 else complex(ROUNDING)
             square = (s * s).real
             upper: ComplexArray = (b2 / 2 + b1 / (2 * s)).astype(np.complex128)
@@ -486,6 +490,13 @@ class Sections:
         return ModalParameters(
             poles=found, is_pair=np.array(is_pair), inputs=whole[:, :n_inputs], states=whole[:, n_inputs:].T
         )
+
+    def _free(self, parameters: ModalParameters, own: Sequence[int], held: int) -> list[int]:
+        """Which drives of a section move."""
+        n_inputs, n_states = parameters.inputs.shape[1], parameters.states.shape[0]
+        first = n_inputs if self.n_measured is None else self.n_measured
+        still = range(first, n_inputs) if not parameters.inputs[own, first:].any() else ()
+        return [j for j in range(n_inputs + n_states) if j != held and j not in still]
 
     @staticmethod
     def _of_section(drives: ComplexArray, first: int, second: int, s: complex) -> tuple[FloatArray, FloatArray]:

@@ -21,7 +21,7 @@ from modal.estimation.cross_validation import scaled_model, scaled_record
 from modal.estimation.free_run import can_be_foretold
 from modal.estimation.modal_parameters import errors_of, in_data_states, starting_parameters
 from modal.estimation.modal_states import blocks_of
-from modal.estimation.output_error import OutputError, PolesAndParticipations, RefinementStep
+from modal.estimation.output_error import OutputError, PolesAndParticipations, RefinementStep, step_at
 from modal.estimation.prediction_error import (
     ROWS_A_NUMBER,
     CanonicalVariates,
@@ -37,12 +37,14 @@ from modal.estimation.prediction_error import (
     share_of,
 )
 from modal.identification.order_search import MODEL_ORDERS
-from modal.modes.modal_form import modal_basis
+from modal.modes.modal_form import ModalBasis, modal_basis
 from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
 from okid.residuals import NOT_WHITE, WHITENESS_LAGS, Whiteness, centred, input_correlation, whiteness
 from okid.scaling import ChannelScaling, channel_scaling
 
+ROUNDED = 1e-9
+"""Take a share of a unit participation for rounding below this."""
 WHITE_AT = 1e-3
 """Call errors white where the portmanteau test of white ones gives more as often: one record in a thousand is lost."""
 
@@ -122,6 +124,8 @@ def noise_model(
     gained = np.inf if reference is None else reference.criterion - (least if fit is None else fit.criterion)
     if fit is None or (gained <= 0.0 and not feedback):
         return None, f"what is left is as likely to be white noise (criterion {-gained:.3g} in favour)"
+    if start.n_inputs:
+        fit, ratio = _apart(fit, ratio, start.order, data, start.dt)
     whole = innovation_form(fit.step, start.dt)
     system = _system_part(whole, start.order) if start.n_inputs else whole
     if np.abs(np.linalg.eigvals(system.A)).max(initial=0.0) >= 1.0 or _follows_inputs(fit.step, data):
@@ -275,29 +279,71 @@ def _growing(own: int, most: int) -> list[int]:
     return orders
 
 
-def _system_part(whole: Realisation, order: int) -> Realisation:
-    """The `order` states through which the inputs act most, one less where that would cut a pair; else all, and K."""
-    if order >= whole.order:
-        return whole
-    basis = modal_basis(replace(whole, K=None))
+def _apart(fit: LikeliestFit, ratio: float, order: int, data: OutputError, dt: float) -> tuple[LikeliestFit, float]:
+    """The same with the noise on the outputs alone, where that is the likelier one for its fewer numbers.
+
+    The gain of a mode that no noise drives fits by chance what noise there is in its band, which makes the mode seem
+    better known than it is.
+    """
+    whole = innovation_form(fit.step, dt)
+    gain, m, q = whole.K, whole.n_inputs, whole.n_outputs
+    if order >= whole.order or gain is None:
+        return fit, ratio
+    driven = replace(whole, B=np.hstack([whole.B, gain]), D=np.hstack([whole.D, np.zeros((q, q))]), K=None)
+    basis = modal_basis(driven)
+    kept = _most_driven(basis, order, m)
+    rest = sorted(set(range(basis.poles.size)) - set(kept))
+    system, noise = _states_of(basis, kept), _states_of(basis, rest)
+    n = len(system[0])
+    B, K = np.vstack([system[1][:, :m], 0.0 * noise[1][:, :m]]), np.vstack([0.0 * system[1][:, m:], noise[1][:, m:]])
+    A, C = scipy.linalg.block_diag(system[0], noise[0]), np.hstack([system[2], noise[2]])
+    step = predictor_start(Realisation(A, B, C, whole.D, dt, K=K), data) if n else None
+    if step is None:
+        return fit, ratio
+    inputs = step.parameters.inputs.copy()
+    inputs[:, m:][np.abs(inputs[:, m:]).max(axis=1) < ROUNDED] = 0.0
+    apart = likeliest(step_at(replace(step.parameters, inputs=inputs), data), data, Sections(n_measured=m))
+    white = _whiteness(apart.step, data)
+    if not white.p_value > WHITE_AT or apart.criterion >= fit.criterion:
+        return fit, ratio
+    return apart, white.ratio
+
+
+def _most_driven(basis: ModalBasis, order: int, n_inputs: int) -> list[int]:
+    """The poles of the `order` states through which the first inputs act most, one less where that would cut a pair."""
     n_states = np.where(basis.is_pair, 2, 1)
     memory = 1.0 / np.maximum(1.0 - np.abs(basis.poles) ** 2, np.finfo(float).eps)
-    energy = np.square(np.linalg.norm(basis.outputs, axis=0) * np.linalg.norm(basis.inputs, axis=1)) * memory
+    reach = np.linalg.norm(basis.inputs[:, :n_inputs], axis=1)
     kept, total = [], 0
-    for i in np.argsort(-energy).tolist():
+    for i in np.argsort(-np.square(np.linalg.norm(basis.outputs, axis=0) * reach) * memory).tolist():
         if total + n_states[i] <= order:
             kept.append(i)
             total += int(n_states[i])
-    A, B, C = np.zeros((total, total)), np.zeros((total, whole.n_inputs)), np.zeros((whole.n_outputs, total))
+    return sorted(kept)
+
+
+def _states_of(basis: ModalBasis, chosen: Sequence[int]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A, B and C of these poles, one state for a real pole and two, real and imaginary part, for a pair."""
+    order = int(np.where(basis.is_pair[list(chosen)], 2, 1).sum())
+    A, B, C = np.zeros((order, order)), np.zeros((order, basis.inputs.shape[1])), np.zeros((len(basis.outputs), order))
     row = 0
-    for i in sorted(kept):
+    for i in chosen:
         pole, b, c = basis.poles[i], basis.inputs[i], basis.outputs[:, i]
         if basis.is_pair[i]:
             own = slice(row, row + 2)
             A[own, own] = [[pole.real, -pole.imag], [pole.imag, pole.real]]
             B[own] = [b.real, b.imag]
             C[:, own] = 2 * np.column_stack([c.real, -c.imag])
+            row += 2
         else:
             A[row, row], B[row], C[:, row] = pole.real, b.real, c.real
-        row += int(n_states[i])
-    return Realisation(A, B, C, whole.D, whole.dt)
+            row += 1
+    return A, B, C
+
+
+def _system_part(whole: Realisation, order: int) -> Realisation:
+    """The `order` states through which the inputs act most, one less where that would cut a pair; else all, and K."""
+    if order >= whole.order:
+        return whole
+    basis = modal_basis(replace(whole, K=None))
+    return Realisation(*_states_of(basis, _most_driven(basis, order, whole.n_inputs)), whole.D, whole.dt)

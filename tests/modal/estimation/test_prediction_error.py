@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy
+from crb import cramer_rao_bound
 from noise_families import noise_record
 from noisy import noisy_data, noisy_system
 from systems import random_system, simulate
@@ -249,11 +250,13 @@ def driven_outputs(seed, n_rows, noise_poles):
     rng = np.random.default_rng(seed)
     s = random_system(rng, n_modes=2, n_inputs=1, n_outputs=3, close_pair=None, weak_mode=None)
     u = scipy.signal.lfilter([1.0], [1.0, -0.6], rng.standard_normal((n_rows, 1)), axis=0)
-    y = simulate(s, u)
-    for i, poles in enumerate(noise_poles):
-        noise = scipy.signal.lfilter([1.0], np.poly(poles).real, rng.standard_normal(n_rows))
-        y[:, i] += 0.2 * y[:, i].std() * noise / noise.std()
-    return s, Record(u, y, s.dt)
+    y, white = simulate(s, u), rng.standard_normal((n_rows, 3))
+    noise = np.array(
+        [scipy.signal.lfilter([1.0], np.poly(poles).real, white[:, i]) for i, poles in enumerate(noise_poles)]
+    )
+    sizes = 0.2 * y.std(axis=0) / noise.std(axis=1)
+    start = Realisation(s.A, s.B, s.C, s.D, s.dt, K=np.zeros((s.order, 3)))
+    return s, Record(u, y + noise.T * sizes, s.dt), start, sizes
 
 
 @pytest.mark.parametrize(("kind", "system", "order"), [("force", 603, 6), ("loop", 61000, 8)])
@@ -272,11 +275,26 @@ def test_noise_of_many_states_is_modelled_and_the_system_keeps_its_own():
         [0.9 * np.exp(sign * angle * 1j) for angle in (0.4 + 0.2 * i, 1.8) for sign in (1, -1)] for i in range(3)
     ]
     for poles in (([0.9], [0.8], [-0.6, 0.7]), resonant):
-        s, record = driven_outputs(3, 3000, poles)
-        start = Realisation(s.A, s.B, s.C, s.D, s.dt, K=np.zeros((s.order, 3)))
+        _, record, start, _ = driven_outputs(3, 3000, poles)
         found, why = noise_model([record], start, evidence=start)
         assert found is not None, why
         assert (found.realisation.order, found.n_noise) == (4, sum(map(len, poles)))
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_modes_are_as_well_known_as_the_noise_of_the_sensors_allows_and_no_better(seed):
+    """A gain of modes that no noise drives fits the noise in their band by chance: they seem better known, or worse."""
+    s, record, start, sizes = driven_outputs(seed, 4000, [[0.8, -0.5]] * 3)
+    found, why = noise_model([record], start, evidence=start)
+    assert found is not None, why
+    modes = extract_modes(found.realisation).modes
+    known = innovation_uncertainty(found, modes, n_lags=1)
+    # filtered by the autoregression of all sensors the noise is white, and the system is the same
+    inputs = scipy.signal.lfilter(np.poly([0.8, -0.5]), [1.0], record.inputs, axis=0)
+    bound = cramer_rao_bound(s, inputs, initial_state=np.zeros(s.order), noise_std=sizes, level="unknown")
+    np.testing.assert_allclose(known.frequency_std, bound.frequency_std, rtol=0.06)
+    np.testing.assert_allclose(known.damping_ratio_std, bound.damping_ratio_std, rtol=0.06)
+    assert (np.abs([mode.frequency for mode in modes] - s.frequencies) < 4.0 * bound.frequency_std).all()
 
 
 def test_states_that_held_out_rows_ask_for_in_vain_are_left_out():
@@ -296,13 +314,12 @@ def test_states_that_held_out_rows_ask_for_in_vain_are_left_out():
 
 def test_a_predictor_whose_errors_follow_the_inputs_is_not_taken():
     """An echo later than any order that its noise would pay for leaves errors that are white all the same."""
-    s, record = driven_outputs(5, 4000, ([0.9], [0.8], [0.7]))
+    s, record, start, _ = driven_outputs(5, 4000, ([0.9], [0.8], [0.7]))
     rng = np.random.default_rng(6)
     outputs = record.outputs.copy()
     u = rng.standard_normal((4000, 1))
     outputs += simulate(s, u) - simulate(s, record.inputs)
     outputs[18:] += 0.02 * outputs.std() * u[:-18]
-    start = Realisation(s.A, s.B, s.C, s.D, s.dt, K=np.zeros((s.order, 3)))
     found, why = noise_model([Record(u, outputs, s.dt)], start, evidence=start)
     assert found is None
     assert "follow the inputs" in why
