@@ -188,26 +188,26 @@ def _likeliest(
     best: tuple[LikeliestFit | None, float, int] = None, np.nan, 0
     left = 8 / 9  # after output error; a candidate that fails leaves as much again at most
     for candidate, past in candidates:
-        fit, ratio = _white(candidate, data, share_of(progress, 1.0 - left, 1.0 - 0.5 * left))
+        step = None if candidate is None else predictor_start(candidate, data)
+        fit, ratio = _white(step, data, Sections(), share_of(progress, 1.0 - left, 1.0 - 0.5 * left))
         left *= 0.5
         if fit is not None:
             best = fit, ratio, past
             break
     if model is None or (best[0] is not None and model.order <= best[0].step.order):
         return best
-    fit, ratio = _white(model, data, share_of(progress, 1.0 - left, 1.0))
+    fit, ratio = _white(predictor_start(model, data), data, Sections(), share_of(progress, 1.0 - left, 1.0))
     return best if fit is None or (best[0] is not None and best[0].criterion <= fit.criterion) else (fit, ratio, 0)
 
 
 def _white(
-    candidate: Realisation | None, data: OutputError, progress: Callable[[float], None]
+    step: RefinementStep | None, data: OutputError, coordinates: Sections, progress: Callable[[float], None]
 ) -> tuple[LikeliestFit | None, float]:
     """The likeliest predictor from this start and the whiteness ratio of its errors; None where they are not white."""
-    step = None if candidate is None else predictor_start(candidate, data)
     n_values = n_rows_of(data) * data.records[0].n_outputs
     if step is None or step.layout.n_sensitivities * ROWS_A_NUMBER > n_values:
         return None, np.nan
-    fit = likeliest(step, data, Sections(), excess=partial(_excess, data=data), progress=progress)
+    fit = likeliest(step, data, coordinates, excess=partial(_excess, data=data), progress=progress)
     white = _whiteness(fit.step, data)
     return (fit, white.ratio) if white.p_value > WHITE_AT else (None, np.nan)
 
@@ -302,11 +302,9 @@ def _apart(fit: LikeliestFit, ratio: float, order: int, data: OutputError, dt: f
         return fit, ratio
     inputs = step.parameters.inputs.copy()
     inputs[:, m:][np.abs(inputs[:, m:]).max(axis=1) < ROUNDED] = 0.0
-    apart = likeliest(step_at(replace(step.parameters, inputs=inputs), data), data, Sections(n_measured=m))
-    white = _whiteness(apart.step, data)
-    if not white.p_value > WHITE_AT or apart.criterion >= fit.criterion:
-        return fit, ratio
-    return apart, white.ratio
+    start = step_at(replace(step.parameters, inputs=inputs), data)
+    apart, white = _white(start, data, Sections(n_measured=m), lambda _share: None)
+    return (fit, ratio) if apart is None or apart.criterion >= fit.criterion else (apart, white)
 
 
 def _most_driven(basis: ModalBasis, order: int, n_inputs: int) -> list[int]:
