@@ -243,7 +243,8 @@ def _candidates(
     """Of canonical variates, with their past; without them and without inputs, the model.
 
     Their own criterion gives the order, states of the noise among them, no larger than the search tries; where that
-    leaves errors that are not white the order grows, by half or up to Akaike's, and without inputs up to the model's.
+    leaves errors that are not white the order grows, by a pair, then by half or to Akaike's; without inputs to that of
+    the model.
     What held-out rows choose for a free run is no order of the noise, and where forces that nobody measured drive most,
     none of the system.
     A realisation of what an observer recovers loses much of what its outputs' covariance tells: with 28 modes in 8
@@ -251,9 +252,9 @@ def _candidates(
     """
     variates, made = CanonicalVariates.of(scaled), False
     if variates is not None:
-        own = variates.order
-        most = max(own + own // 2, variates.largest_order) if model.n_inputs else max(own, model.order)
-        orders = _growing(min(own, MODEL_ORDERS[-1]), min(most, MODEL_ORDERS[-1]))
+        own, largest = min(variates.order, MODEL_ORDERS[-1]), MODEL_ORDERS[-1]
+        more = own + 2, max(own + own // 2, variates.largest_order)
+        orders = [own, *(min(n, largest) for n in more)] if model.n_inputs else _growing(own, model.order)
         for order in [model.order] if order_given and not model.n_inputs else orders:
             predictor = variates.predictor(order)
             made = made or predictor is not None
@@ -263,19 +264,18 @@ def _candidates(
 
 
 def _growing(own: int, most: int) -> list[int]:
-    """Orders from the first to the last, by one pair of states, then two, four and so on.
+    """Orders from the first to the last, each by about half as large again, whole pairs more.
 
     The smallest that leaves white errors is asked for: a long observer gives a model of many states, and what too many
     states make of the noise may look like modes.
 
     Example:
         >>> _growing(6, 56), _growing(6, 4)
-        ([6, 8, 12, 20, 36, 56], [6])
+        ([6, 10, 14, 22, 34, 50, 56], [6])
     """
-    orders, more = [own], 2
+    orders = [own]
     while orders[-1] < most:
-        orders.append(min(most, orders[-1] + more))
-        more *= 2
+        orders.append(min(most, orders[-1] + 2 * max(1, round(orders[-1] / 4))))
     return orders
 
 
