@@ -209,19 +209,20 @@ def predictor_start(model: Realisation, data: OutputError) -> RefinementStep | N
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CanonicalVariates:
-    """Combinations of the past outputs that tell most about the future ones, the most telling first: where to start.
+    """Combinations of the past that tell most about the future outputs, the most telling first: where to start.
 
-    With the past z(k) = [y(k-1) .. y(k-p)], its covariance P = L L' and the predictions H z of the next p outputs by
-    regression on z, weighted by their innovations' R^(-1/2), the states are V' L^-1 z with V of the singular vectors of
-    R^(-1/2) H L. Regressions of y(k) and of the next states on them give C and the predictor. n states leave
-    S - c'c of the outputs' covariance S; the least N ln det(S - c'c) + 2 n n_outputs ln N says how many.
+    With the past z(k) of inputs and outputs over p samples, its covariance P = L L' and the predictions H z of the next
+    p outputs by regression on z, weighted by their innovations' R^(-1/2), the states are V' L^-1 z with V of the
+    singular vectors of R^(-1/2) H L; what future inputs and outputs add is known and left out, so feedback does no
+    harm. S, P and the covariances c of states and outputs are those given the inputs of the sample. Regressions of
+    y(k) and of the next states on states and inputs give C, D and the predictor. n states leave S - c'c; the least
+    N ln det(S - c'c) + n (2 n_outputs + n_inputs) ln N says how many, states of the noise among them.
 
     Attributes:
-        states: (n_most, n_outputs p) V' L^-1.
-        outputs: (n_most, n_outputs) c, covariance of states and outputs.
+        states: (n_most, n_channels p) V' L^-1.
+        outputs: (n_most, n_outputs) c.
         now: (n_outputs, n_outputs) S.
-        next_of_states: (n_most, n_most) covariance of the states with the next ones.
-        next_of_outputs: (n_outputs, n_most) of the outputs with the next states.
+        lags: (n_channels (p + 1), same) covariance of u(k), y(k), u(k-1), y(k-1) ... y(k-p).
         past: p.
         n_rows: N.
         scaling: of the channels.
@@ -229,7 +230,8 @@ class CanonicalVariates:
 
     References:
         Larimore, Proceedings of the 29th IEEE Conference on Decision and Control, 1990, 596-604,
-        doi 10.1109/CDC.1990.203665; Schwarz's criterion as above.
+        doi 10.1109/CDC.1990.203665; Jansson, IFAC Proceedings Volumes 36(16), 2003, 1559-1564,
+        doi 10.1016/S1474-6670(17)34983-3 (the future's part by a regression first); Schwarz's criterion as above.
 
     Example:
         >>> rng, y = np.random.default_rng(1), np.zeros(4000)
@@ -243,8 +245,7 @@ class CanonicalVariates:
     states: FloatArray
     outputs: FloatArray
     now: FloatArray
-    next_of_states: FloatArray
-    next_of_outputs: FloatArray
+    lags: FloatArray
     past: int
     n_rows: int
     scaling: ChannelScaling
@@ -252,57 +253,60 @@ class CanonicalVariates:
 
     @classmethod
     def of(cls, records: Sequence[Record]) -> "CanonicalVariates | None":
-        """Of records without inputs; None where they are too short, or channels repeat each other.
+        """Of records; None where they are too short, or channels repeat each other.
 
         The past is twice as long as Akaike's criterion of a regression on it asks for.
         """
         q, scaling = records[0].n_outputs, channel_scaling(records)
-        longest = sum(record.n_samples for record in records) // (ROWS_A_NUMBER * q)
+        n_channels = q + records[0].n_inputs
+        longest = sum(record.n_samples for record in records) // (ROWS_A_NUMBER * n_channels)
         best, least, p = 0, np.inf, SHORTEST_PAST
         try:
             while p <= longest:
-                S, P, cross, n_rows = _regression(lag_gram(records, p, scaling=scaling))
+                gram = lag_gram(records, p, scaling=scaling)
+                S, P, cross = _given_inputs(_covariance(gram), gram)
                 left = S - cross.T @ scipy.linalg.cho_solve(scipy.linalg.cho_factor(P), cross)
-                criterion = n_rows * np.linalg.slogdet(left)[1] + 2 * p * q * q
+                criterion = gram.n_rows * np.linalg.slogdet(left)[1] + 2 * p * q * n_channels
                 if not criterion < least:
                     break
                 best, least, p = p, criterion, 2 * p
-            gram = lag_gram(records, min(2 * best, longest), scaling=scaling) if best else None
+            if not best:
+                return None
+            return cls.of_gram(lag_gram(records, min(2 * best, longest), scaling=scaling), scaling, records[0].dt)
         except (np.linalg.LinAlgError, InsufficientDataError):
             return None
-        return None if gram is None else cls.of_gram(gram, scaling, records[0].dt)
 
     @classmethod
     def of_gram(cls, gram: LagGram, scaling: ChannelScaling, dt: float) -> "CanonicalVariates | None":
         """With the past of all its lags; None where channels repeat each other.
 
         Args:
-            gram: of records without inputs.
+            gram: of records.
             scaling: of its channels.
             dt: time step [s].
         """
-        S, P, cross, n_rows = _regression(gram)
-        q, p = gram.n_outputs, gram.order
+        lags = _covariance(gram)
+        q, p, width = gram.n_outputs, gram.order, gram.n_inputs + gram.n_outputs
         try:
+            S, P, cross = _given_inputs(lags, gram)
             regression = scipy.linalg.cho_solve(scipy.linalg.cho_factor(P), cross).T
-            whitened = np.linalg.solve(np.linalg.cholesky(S - regression @ cross), regression)
+            left = S - regression @ cross
+            whitened = np.linalg.solve(np.linalg.cholesky(left - ROUNDING * S.diagonal().max() * np.eye(q)), regression)
             L = np.linalg.cholesky(P)
         except np.linalg.LinAlgError:
             return None
-        H = np.zeros((p * q, p * q))
+        H = np.zeros((p * q, p * width))
         for i in range(p):
-            H[i * q : (i + 1) * q, : (p - i) * q] = whitened[:, i * q :]
-        _, values, V = np.linalg.svd(H @ L)
+            H[i * q : (i + 1) * q, : (p - i) * width] = whitened[:, i * width :]
+        _, values, V = np.linalg.svd(H @ L, full_matrices=False)
         states = scipy.linalg.solve_triangular(L, V[values > NOISE_FREE * values[0]].T, lower=True, trans=1).T
-        lags = _covariance(gram)
         return cls(
             states=states,
             outputs=states @ cross,
             now=S,
-            next_of_states=states @ lags[q:, :-q] @ states.T,
-            next_of_outputs=lags[:q, :-q] @ states.T,
+            lags=lags,
             past=p,
-            n_rows=n_rows,
+            n_rows=gram.n_rows,
             scaling=scaling,
             dt=dt,
         )
@@ -310,43 +314,57 @@ class CanonicalVariates:
     @property
     def order(self) -> int:
         """Number of states of least criterion."""
-        q = self.now.shape[0]
+        return self._least(float(np.log(self.n_rows)))
+
+    @property
+    def largest_order(self) -> int:
+        """The same by Akaike's criterion, which takes more states of the noise."""
+        return self._least(2.0)
+
+    def _least(self, price: float) -> int:
+        numbers = 2 * self.now.shape[0] + self.scaling.input_scale.size
         left, criteria = self.now.copy(), []
         for n, own in enumerate(self.outputs, 1):
             left -= np.outer(own, own)
             sign, size = np.linalg.slogdet(left)
-            criteria.append(self.n_rows * size + 2 * n * q * np.log(self.n_rows) if sign > 0 else np.inf)
+            criteria.append(self.n_rows * size + n * numbers * price if sign > 0 else np.inf)
         return 1 + int(np.argmin(criteria))
 
     def predictor(self, order: int) -> Realisation | None:
         """The model with so many states, in the units of the records; None where there are not so many, or no noise."""
         if order > len(self.states):
             return None
-        c = self.outputs[:order]
-        own = np.block([[np.eye(order), c], [c.T, self.now]])
-        after = np.vstack([self.next_of_states[:order, :order], self.next_of_outputs[:, :order]])
+        into, size, states = self.scaling.input_scale, self.scaling.output_scale, self.states[:order]
+        m, width = into.size, into.size + size.size
+        now = scipy.linalg.block_diag(states, np.eye(width))  # of past and present: the states come first
+        now = np.hstack([now[:, states.shape[1] :], now[:, : states.shape[1]]])
+        seen, n = self.lags @ now.T, order + m
+        own, after = now @ seen, states @ seen[: states.shape[1]]
         try:
-            closed = np.linalg.solve(own, after).T
+            closed = np.linalg.solve(own, after.T).T
+            direct = np.linalg.solve(own[:n, :n], own[:n, n:]).T
         except np.linalg.LinAlgError:
             return None
-        size = self.scaling.output_scale
-        C, nothing = c.T * size[:, np.newaxis], np.zeros((size.size, 0))
-        return _model(closed[:, :order], closed[:, order:] / size, C, nothing, self.dt)
+        C, D = direct[:, :order] * size[:, np.newaxis], direct[:, order:] * np.divide.outer(size, into)
+        return _model(closed[:, :order], closed[:, order:] / np.concatenate([into, size]), C, D, self.dt)
 
 
 def _covariance(gram: LagGram) -> FloatArray:
-    """((p + 1) n_outputs, same) of y(k), y(k-1) .. y(k-p)."""
+    """((p + 1) n_channels, same) of u(k), y(k), u(k-1), y(k-1) .. y(k-p)."""
     level = gram.matrix[1:, 0] / gram.n_rows
     covariance: FloatArray = gram.matrix[1:, 1:] / gram.n_rows - np.outer(level, level)
     return covariance
 
 
-def _regression(gram: LagGram) -> tuple[FloatArray, FloatArray, FloatArray, int]:
-    """Covariances of y(k), of its past with the rounding of its sums, and of the past with it; number of rows."""
-    covariance, q = _covariance(gram), gram.n_outputs
-    past = covariance[q:, q:]
+def _given_inputs(covariance: FloatArray, gram: LagGram) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Covariances of y(k), of the past with the rounding of its sums, and of the past with it, given u(k)."""
+    m, width = gram.n_inputs, gram.n_inputs + gram.n_outputs
+    if m:
+        factor = scipy.linalg.cho_factor(covariance[:m, :m])
+        covariance = covariance - covariance[:, :m] @ scipy.linalg.cho_solve(factor, covariance[:m])
+    past = covariance[width:, width:]
     past = past + ROUNDING * np.trace(past) * np.eye(len(past))
-    return covariance[:q, :q], past, covariance[q:, :q], gram.n_rows
+    return covariance[m:width, m:width], past, covariance[width:, m:width]
 
 
 def innovation_form(step: RefinementStep, dt: float) -> Realisation:
@@ -372,7 +390,14 @@ class _Layout:
 
 @dataclass(frozen=True, slots=True)
 class Sections:
-    """Sections of two states; the participations of one input in each are held, which fixes its coordinates."""
+    """Sections of two states; the participations of one input in each are held, which fixes its coordinates.
+
+    Attributes:
+        n_measured: sections on which no input beyond the first so many acts, none of the outputs, stay so: the noise is
+            no noise of their states.
+    """
+
+    n_measured: int | None = None
 
     def slopes(self, parameters: ModalParameters) -> FloatArray:
         """See `Coordinates`."""
@@ -395,9 +420,8 @@ class Sections:
             pole = complex(parameters.poles[first])
             if second == -2:
                 add([(0, first, 1 / pole)])
-                for j in range(n_drives):
-                    if j != held:
-                        add([(1 + j, first, 1.0)])
+                for j in self._free(parameters, [first], held):
+                    add([(1 + j, first, 1.0)])
                 continue
             own = [first] if second == -1 else [first, second]
             _, s = _mean_and_root(parameters, first, second)
@@ -410,10 +434,9 @@ class Sections:
                 (1 + j, i, -b1[j] / (4 * r**3)) for j in range(n_drives) for i, r in zip(own, roots, strict=True)
             ]
             add(change)
-            for j in range(n_drives):
-                if j != held:
-                    add([(1 + j, i, 1 / (2 * r)) for i, r in zip(own, roots, strict=True)])
-                    add([(1 + j, i, 0.5 + 0j) for i in own])
+            for j in self._free(parameters, own, held):
+                add([(1 + j, i, 1 / (2 * r)) for i, r in zip(own, roots, strict=True)])
+                add([(1 + j, i, 0.5 + 0j) for i in own])
         return np.array(columns).T
 
     def taken(
@@ -427,29 +450,28 @@ class Sections:
         """See `Coordinates`; None where a pole leaves the unit circle."""
         n_inputs = parameters.inputs.shape[1]
         drives = np.vstack([parameters.inputs.T, parameters.states])
-        n_drives = drives.shape[0]
         layout = _sections(parameters)
         poles: list[complex] = []
         is_pair: list[bool] = []
         columns: list[ComplexArray] = []
         at = 0
         for (first, second), held in zip(layout.members, layout.held, strict=True):
-            free = [j for j in range(n_drives) if j != held]
+            free = self._free(parameters, [first] if second < 0 else [first, second], held)
             if second == -2:
                 column = drives[:, first].copy()
-                column[free] += change[at + 1 : at + n_drives]
+                column[free] += change[at + 1 : at + 1 + len(free)]
                 poles.append(complex(parameters.poles[first].real + change[at]))
                 is_pair.append(False)
                 columns.append(column)
-                at += n_drives
+                at += 1 + len(free)
                 continue
             mean, s = _mean_and_root(parameters, first, second)
             b1, b2 = self._of_section(drives, first, second, s)
             mean, square = mean + change[at], (s * s).real + change[at + 1]
-            own = change[at + 2 : at + 2 * n_drives].reshape(-1, 2)
+            own = change[at + 2 : at + 2 + 2 * len(free)].reshape(-1, 2)
             b1[free] += own[:, 0]
             b2[free] += own[:, 1]
-            at += 2 * n_drives
+            at += 2 + 2 * len(free)
             s = np.sqrt(complex(square)) if abs(square) > ROUNDING**2 else complex(ROUNDING)
             square = (s * s).real
             upper: ComplexArray = (b2 / 2 + b1 / (2 * s)).astype(np.complex128)
@@ -468,6 +490,13 @@ class Sections:
         return ModalParameters(
             poles=found, is_pair=np.array(is_pair), inputs=whole[:, :n_inputs], states=whole[:, n_inputs:].T
         )
+
+    def _free(self, parameters: ModalParameters, own: Sequence[int], held: int) -> list[int]:
+        """Which drives of a section move."""
+        n_inputs, n_states = parameters.inputs.shape[1], parameters.states.shape[0]
+        first = n_inputs if self.n_measured is None else self.n_measured
+        still = range(first, n_inputs) if not parameters.inputs[own, first:].any() else ()
+        return [j for j in range(n_inputs + n_states) if j != held and j not in still]
 
     @staticmethod
     def _of_section(drives: ComplexArray, first: int, second: int, s: complex) -> tuple[FloatArray, FloatArray]:

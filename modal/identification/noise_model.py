@@ -1,10 +1,10 @@
 """Which noise: output error, or the innovation form with so many states of the noise; the likelihood decides.
 
 Candidates, each by maximum likelihood (`modal.estimation.prediction_error`): output error with white noise of any
-covariance; the innovation form with the states of the model; the same with the states that what the free run leaves
-asks for beside them. Schwarz's criterion chooses among those that leave white errors. Output error is consistent
-whatever the colour of the noise, as long as nothing feeds outputs back; a noise model that is too small is not, so
-where no candidate leaves white errors none is taken.
+covariance; the innovation form with as many states, of the noise too, as the canonical variates of the past ask for;
+the same with the states of the model. Schwarz's criterion chooses among those that leave white errors. Output error is
+consistent whatever the colour of the noise, as long as nothing feeds outputs back; a noise model that is too small is
+not, so where no candidate leaves white errors none is taken.
 
 The states of the noise alone are no modes of the system: they serve the estimate and are then left out.
 """
@@ -18,11 +18,10 @@ import scipy
 
 from era.realisation import Realisation
 from modal.estimation.cross_validation import scaled_model, scaled_record
-from modal.estimation.fits import fit_of, model_runs
 from modal.estimation.free_run import can_be_foretold
 from modal.estimation.modal_parameters import errors_of, in_data_states, starting_parameters
 from modal.estimation.modal_states import blocks_of
-from modal.estimation.output_error import OutputError, PolesAndParticipations, RefinementStep
+from modal.estimation.output_error import OutputError, PolesAndParticipations, RefinementStep, step_at
 from modal.estimation.prediction_error import (
     ROWS_A_NUMBER,
     CanonicalVariates,
@@ -38,19 +37,16 @@ from modal.estimation.prediction_error import (
     share_of,
 )
 from modal.identification.order_search import MODEL_ORDERS
-from modal.modes.modal_form import modal_basis
+from modal.modes.modal_form import ModalBasis, modal_basis
 from okid.arrays import BoolArray, FloatArray
-from okid.errors import NumericalError
 from okid.record import Record
-from okid.residuals import WHITENESS_LAGS, Whiteness, centred, whiteness
+from okid.residuals import NOT_WHITE, WHITENESS_LAGS, Whiteness, centred, input_correlation, whiteness
 from okid.scaling import ChannelScaling, channel_scaling
 
+ROUNDED = 1e-9
+"""Take a share of a unit participation for rounding below this."""
 WHITE_AT = 1e-3
 """Call errors white where the portmanteau test of white ones gives more as often: one record in a thousand is lost."""
-NOISE_ORDERS = (1, 2, 4, 8)
-"""Try so many states of the noise beside those of the model, as long as the criterion of the noise alone falls."""
-BROKEN_PROMISE = 0.02
-"""Take no model whose free run explains less than the held-out rows promised by this."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -90,7 +86,6 @@ def noise_model(
     start: Realisation,
     *,
     evidence: Realisation,
-    promised: float,
     feedback: bool = False,
     order_given: bool = False,
     progress: Callable[[float], None] = lambda _share: None,
@@ -101,7 +96,6 @@ def noise_model(
         records: as identified from; those with fewer rows than a predictor has channels are left out.
         start: the model with a gain, in their units.
         evidence: whose Hankel factors the result keeps.
-        promised: fit of the free run on held-out rows.
         feedback: the outputs are fed back into the inputs, so that output error is not offered.
         order_given: without inputs too, keep the number of states.
         progress: called with the share that is behind at most, before each step.
@@ -121,29 +115,30 @@ def noise_model(
         return None, "the model explains the outputs to rounding, or cannot run"
     least = -np.inf if reference is None or feedback else _least_criterion(reference, first, data)
     hopeless = reference is not None and reference.criterion <= least
-    variates = None if start.n_inputs else CanonicalVariates.of(scaled)
-    candidates = _candidates(first, reference, variates, order_given=order_given)
-    fit, ratio, past = (None, np.nan, 0) if hopeless else _likeliest(candidates, data, progress)
+    fit, ratio, past = None, np.nan, 0
+    if not hopeless:
+        candidates = _candidates(first, scaled, order_given=order_given)
+        fit, ratio, past = _likeliest(candidates, first if start.n_inputs else None, data, progress)
     if fit is None and not hopeless:
         return None, "no model of the noise that was tried leaves white errors"
     gained = np.inf if reference is None else reference.criterion - (least if fit is None else fit.criterion)
     if fit is None or (gained <= 0.0 and not feedback):
         return None, f"what is left is as likely to be white noise (criterion {-gained:.3g} in favour)"
+    if start.n_inputs:
+        fit, ratio = _apart(fit, ratio, start.order, data, start.dt)
     whole = innovation_form(fit.step, start.dt)
     system = _system_part(whole, start.order) if start.n_inputs else whole
-    # in a loop the free run that explains most is the one that takes the noise for an answer
-    least = -np.inf if feedback else promised - BROKEN_PROMISE
-    if system is None or not _explains(realisation := in_data_states(system, evidence, scaling), records, least):
-        return None, "the likeliest predictor explains less in a free run than held-out rows promised"
+    if np.abs(np.linalg.eigvals(system.A)).max(initial=0.0) >= 1.0 or _follows_inputs(fit.step, data):
+        return None, "the likeliest predictor is not stable, or its errors still follow the inputs"
     model = NoiseModel(
         fit=fit,
         whole=whole,
-        realisation=realisation,
+        realisation=in_data_states(system, evidence, scaling),
         scaling=scaling,
         n_noise=whole.order - system.order,
         whiteness_ratio=ratio,
         gained=gained,
-        past=past,
+        past=0 if start.n_inputs else past,
     )
     reason = f"criterion {gained:.3g} below that of output error" if start.n_inputs else "no input was measured"
     reason = "the outputs seem to be fed back into the inputs" if feedback else reason
@@ -166,33 +161,55 @@ def _least_criterion(reference: LikeliestFit, model: Realisation, data: OutputEr
     return -np.inf if step is None else promised_criterion(step, data, Sections())
 
 
-def _explains(model: Realisation, records: Sequence[Record], least: float) -> bool:
-    """Whether the model is stable and its fit in a free run (without inputs: one step ahead) is at least this."""
-    if np.abs(np.linalg.eigvals(model.A)).max(initial=0.0) >= 1.0:
-        return False
-    try:
-        runs = model_runs(replace(model, K=None) if model.n_inputs else model, records)
-    except NumericalError:
-        return False
-    return float(np.nanmean(fit_of(runs.records, runs.simulated))) >= least
+def _follows_inputs(step: RefinementStep, data: OutputError) -> bool:
+    """Whether errors follow the inputs of their sample or of those before it: what makes the noise does not.
+
+    How much a free run explains says less: where forces that nobody measured ring on from block to block, held-out rows
+    promise more than the true system explains.
+    """
+    errors = centred(errors_of(step, data))
+    root = whiteness(errors, n_lags=WHITENESS_LAGS, n_fitted=0).inverse_root
+    inputs = [record.inputs[:, : step.layout.n_direct] for record in data.records]
+    return root is not None and (
+        input_correlation(errors, root, inputs, first_lag=0, last_lag=WHITENESS_LAGS) > NOT_WHITE
+    )
 
 
 def _likeliest(
-    candidates: Iterator[tuple[Realisation | None, int]], data: OutputError, progress: Callable[[float], None]
+    candidates: Iterator[tuple[Realisation | None, int]],
+    model: Realisation | None,
+    data: OutputError,
+    progress: Callable[[float], None],
 ) -> tuple[LikeliestFit | None, float, int]:
-    """The first candidate that leaves white errors, its whiteness ratio, and the past that it came from."""
-    for number, (candidate, past) in enumerate(candidates):
+    """The first candidate that leaves white errors, its whiteness ratio, and the past that it came from.
+
+    The model stands in where none does, and where its states are more and it is the likelier one.
+    """
+    best: tuple[LikeliestFit | None, float, int] = None, np.nan, 0
+    left = 8 / 9  # after output error; a candidate that fails leaves as much again at most
+    for candidate, past in candidates:
         step = None if candidate is None else predictor_start(candidate, data)
-        n_values = n_rows_of(data) * data.records[0].n_outputs
-        if step is None or step.layout.n_sensitivities * ROWS_A_NUMBER > n_values:
-            continue
-        left = 8 / 9 * 0.5**number  # after output error; a candidate that fails leaves as much again at most
-        own = share_of(progress, 1.0 - left, 1.0 - 0.5 * left)
-        fit = likeliest(step, data, Sections(), excess=partial(_excess, data=data), progress=own)
-        white = _whiteness(fit.step, data)
-        if white.p_value > WHITE_AT:
-            return fit, white.ratio, past
-    return None, np.nan, 0
+        fit, ratio = _white(step, data, Sections(), share_of(progress, 1.0 - left, 1.0 - 0.5 * left))
+        left *= 0.5
+        if fit is not None:
+            best = fit, ratio, past
+            break
+    if model is None or (best[0] is not None and model.order <= best[0].step.order):
+        return best
+    fit, ratio = _white(predictor_start(model, data), data, Sections(), share_of(progress, 1.0 - left, 1.0))
+    return best if fit is None or (best[0] is not None and best[0].criterion <= fit.criterion) else (fit, ratio, 0)
+
+
+def _white(
+    step: RefinementStep | None, data: OutputError, coordinates: Sections, progress: Callable[[float], None]
+) -> tuple[LikeliestFit | None, float]:
+    """The likeliest predictor from this start and the whiteness ratio of its errors; None where they are not white."""
+    n_values = n_rows_of(data) * data.records[0].n_outputs
+    if step is None or step.layout.n_sensitivities * ROWS_A_NUMBER > n_values:
+        return None, np.nan
+    fit = likeliest(step, data, coordinates, excess=partial(_excess, data=data), progress=progress)
+    white = _whiteness(fit.step, data)
+    return (fit, white.ratio) if white.p_value > WHITE_AT else (None, np.nan)
 
 
 def _whiteness(step: RefinementStep, data: OutputError) -> Whiteness:
@@ -221,31 +238,29 @@ def _output_error(
 
 
 def _candidates(
-    model: Realisation,
-    reference: LikeliestFit | None,
-    variates: CanonicalVariates | None,
-    *,
-    order_given: bool,
+    model: Realisation, scaled: Sequence[Record], *, order_given: bool
 ) -> Iterator[tuple[Realisation | None, int]]:
-    """Of canonical variates, else the model; then with noise states, and of outputs that something else drives.
+    """Of canonical variates, with their past; without them and without inputs, the model.
 
-    Their own criterion gives the order, no larger than the search tries; where that leaves errors that are not white
-    the order grows, up to the model's.
+    Their own criterion gives the order, states of the noise among them, no larger than the search tries; where that
+    leaves errors that are not white the order grows, by a pair, then by half or to Akaike's; without inputs to that of
+    the model.
+    What held-out rows choose for a free run is no order of the noise, and where forces that nobody measured drive most,
+    none of the system.
     A realisation of what an observer recovers loses much of what its outputs' covariance tells: with 28 modes in 8
     outputs 96 steps from there ended below where the variates start.
     """
-    made = False
+    variates, made = CanonicalVariates.of(scaled), False
     if variates is not None:
-        own = min(variates.order, MODEL_ORDERS[-1])
-        for order in (model.order,) if order_given else _growing(own, model.order):
+        own, largest = min(variates.order, MODEL_ORDERS[-1]), MODEL_ORDERS[-1]
+        more = own + 2, max(own + own // 2, variates.largest_order)
+        orders = [own, *(min(n, largest) for n in more)] if model.n_inputs else _growing(own, model.order)
+        for order in [model.order] if order_given and not model.n_inputs else orders:
             predictor = variates.predictor(order)
             made = made or predictor is not None
             yield predictor, variates.past
-    if not made:
+    if not made and not model.n_inputs:
         yield model, 0
-    if reference is not None:
-        yield _with_noise_states(model, reference), 0
-        yield _driven_otherwise(model, reference.data), 0
 
 
 def _growing(own: int, most: int) -> list[int]:
@@ -264,80 +279,69 @@ def _growing(own: int, most: int) -> list[int]:
     return orders
 
 
-def _with_noise_states(model: Realisation, reference: LikeliestFit) -> Realisation | None:
-    """The output-error model beside a model of what its free run leaves."""
-    left = [
-        Record(np.empty((error.shape[0], 0)), error, record.dt)
-        for error, record in zip(errors_of(reference.step, reference.data), reference.data.records, strict=True)
-    ]
-    noise = _noise_of(left)
-    if noise is None or noise.K is None:
-        return None
-    n, m = model.order, noise.order
-    A = np.block([[model.A, np.zeros((n, m))], [np.zeros((m, n)), noise.A]])
-    B = np.vstack([model.B, np.zeros((m, model.n_inputs))])
-    return Realisation(
-        A, B, np.hstack([model.C, noise.C]), model.D, model.dt, K=np.vstack([np.zeros((n, model.n_outputs)), noise.K])
-    )
+def _apart(fit: LikeliestFit, ratio: float, order: int, data: OutputError, dt: float) -> tuple[LikeliestFit, float]:
+    """The same with the noise on the outputs alone, where that is the likelier one for its fewer numbers.
 
-
-def _driven_otherwise(model: Realisation, data: OutputError) -> Realisation | None:
-    """The outputs as if nothing that was measured drove them, with inputs that do nothing yet.
-
-    Where forces that nobody measured drive most, they show modes that the inputs hardly do, and the free run has none.
+    The gain of a mode that no noise drives fits by chance what noise there is in its band, which makes the mode seem
+    better known than it is.
     """
-    alone = [replace(record, inputs=record.inputs[:, :0], input_names=(), input_units=()) for record in data.records]
-    variates = CanonicalVariates.of(alone)
-    free = None if variates is None else variates.predictor(max(model.order, min(variates.order, MODEL_ORDERS[-1])))
-    if free is None:
-        return None
-    return replace(free, B=np.zeros((free.order, model.n_inputs)), D=model.D)
+    whole = innovation_form(fit.step, dt)
+    gain, m, q = whole.K, whole.n_inputs, whole.n_outputs
+    if order >= whole.order or gain is None:
+        return fit, ratio
+    driven = replace(whole, B=np.hstack([whole.B, gain]), D=np.hstack([whole.D, np.zeros((q, q))]), K=None)
+    basis = modal_basis(driven)
+    kept = _most_driven(basis, order, m)
+    rest = sorted(set(range(basis.poles.size)) - set(kept))
+    system, noise = _states_of(basis, kept), _states_of(basis, rest)
+    n = len(system[0])
+    B, K = np.vstack([system[1][:, :m], 0.0 * noise[1][:, :m]]), np.vstack([0.0 * system[1][:, m:], noise[1][:, m:]])
+    A, C = scipy.linalg.block_diag(system[0], noise[0]), np.hstack([system[2], noise[2]])
+    step = predictor_start(Realisation(A, B, C, whole.D, dt, K=K), data) if n else None
+    if step is None:
+        return fit, ratio
+    inputs = step.parameters.inputs.copy()
+    inputs[:, m:][np.abs(inputs[:, m:]).max(axis=1) < ROUNDED] = 0.0
+    start = step_at(replace(step.parameters, inputs=inputs), data)
+    apart, white = _white(start, data, Sections(n_measured=m), lambda _share: None)
+    return (fit, ratio) if apart is None or apart.criterion >= fit.criterion else (apart, white)
 
 
-def _noise_of(left: Sequence[Record]) -> Realisation | None:
-    """The output-only model of least criterion."""
-    variates = CanonicalVariates.of(left)
-    if variates is None:
-        return None
-    data = predictor_data(left, tuple(record.complete_rows() for record in left))
-    best: LikeliestFit | None = None
-    for n in NOISE_ORDERS:
-        start = variates.predictor(n)
-        step = None if start is None else predictor_start(start, data)
-        if step is None:
-            continue
-        fit = likeliest(step, data, Sections(), rounds=1)
-        if best is not None and fit.criterion >= best.criterion:
-            break
-        best = fit
-    return None if best is None else innovation_form(best.step, left[0].dt)
-
-
-def _system_part(whole: Realisation, order: int) -> Realisation | None:
-    """The states through which the inputs act most, at least `order` of them; all with the gain where all are kept."""
-    if order >= whole.order:
-        return whole
-    basis = modal_basis(replace(whole, K=None))
+def _most_driven(basis: ModalBasis, order: int, n_inputs: int) -> list[int]:
+    """The poles of the `order` states through which the first inputs act most, one less where that would cut a pair."""
     n_states = np.where(basis.is_pair, 2, 1)
     memory = 1.0 / np.maximum(1.0 - np.abs(basis.poles) ** 2, np.finfo(float).eps)
-    energy = np.square(np.linalg.norm(basis.outputs, axis=0) * np.linalg.norm(basis.inputs, axis=1)) * memory
+    reach = np.linalg.norm(basis.inputs[:, :n_inputs], axis=1)
     kept, total = [], 0
-    for i in np.argsort(-energy).tolist():
+    for i in np.argsort(-np.square(np.linalg.norm(basis.outputs, axis=0) * reach) * memory).tolist():
         if total + n_states[i] <= order:
             kept.append(i)
             total += int(n_states[i])
-    if total < order:
-        return None
-    A, B, C = np.zeros((order, order)), np.zeros((order, whole.n_inputs)), np.zeros((whole.n_outputs, order))
+    return sorted(kept)
+
+
+def _states_of(basis: ModalBasis, chosen: Sequence[int]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A, B and C of these poles, one state for a real pole and two, real and imaginary part, for a pair."""
+    order = int(np.where(basis.is_pair[list(chosen)], 2, 1).sum())
+    A, B, C = np.zeros((order, order)), np.zeros((order, basis.inputs.shape[1])), np.zeros((len(basis.outputs), order))
     row = 0
-    for i in sorted(kept):
+    for i in chosen:
         pole, b, c = basis.poles[i], basis.inputs[i], basis.outputs[:, i]
         if basis.is_pair[i]:
             own = slice(row, row + 2)
             A[own, own] = [[pole.real, -pole.imag], [pole.imag, pole.real]]
             B[own] = [b.real, b.imag]
             C[:, own] = 2 * np.column_stack([c.real, -c.imag])
+            row += 2
         else:
             A[row, row], B[row], C[:, row] = pole.real, b.real, c.real
-        row += int(n_states[i])
-    return Realisation(A, B, C, whole.D, whole.dt)
+            row += 1
+    return A, B, C
+
+
+def _system_part(whole: Realisation, order: int) -> Realisation:
+    """The `order` states through which the inputs act most, one less where that would cut a pair; else all, and K."""
+    if order >= whole.order:
+        return whole
+    basis = modal_basis(replace(whole, K=None))
+    return Realisation(*_states_of(basis, _most_driven(basis, order, whole.n_inputs)), whole.D, whole.dt)

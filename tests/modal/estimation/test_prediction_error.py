@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy
+from crb import cramer_rao_bound
 from noise_families import noise_record
 from noisy import noisy_data, noisy_system
+from systems import random_system, simulate
 
 from era.realisation import Realisation
 from modal.estimation.modal_parameters import errors_of
@@ -22,7 +24,7 @@ from modal.estimation.prediction_error import (
     promised_criterion,
 )
 from modal.identification.information import innovation_uncertainty
-from modal.identification.noise_model import NoiseModel
+from modal.identification.noise_model import NoiseModel, noise_model
 from modal.identification.pipeline import identify
 from modal.modes.extraction import extract_modes
 from okid.record import Record
@@ -241,6 +243,86 @@ def test_canonical_variates_know_the_order_and_every_mode_before_the_first_step(
     assert np.abs(np.abs(found)[:, np.newaxis] / (2 * np.pi * frequencies) - 1.0).min(axis=0).max() < 0.01
     assert (-found.real / np.abs(found)).max() < 0.03
     assert CanonicalVariates.of([Record([], np.tile(record.outputs[:, :1], 2), dt)]) is None
+
+
+def driven_outputs(seed, n_rows, noise_poles):
+    """Two modes, one coloured input with a direct part, three sensors, each with autoregressive noise of its own."""
+    rng = np.random.default_rng(seed)
+    s = random_system(rng, n_modes=2, n_inputs=1, n_outputs=3, close_pair=None, weak_mode=None)
+    u = scipy.signal.lfilter([1.0], [1.0, -0.6], rng.standard_normal((n_rows, 1)), axis=0)
+    y, white = simulate(s, u), rng.standard_normal((n_rows, 3))
+    noise = np.array(
+        [scipy.signal.lfilter([1.0], np.poly(poles).real, white[:, i]) for i, poles in enumerate(noise_poles)]
+    )
+    sizes = 0.2 * y.std(axis=0) / noise.std(axis=1)
+    start = Realisation(s.A, s.B, s.C, s.D, s.dt, K=np.zeros((s.order, 3)))
+    return s, Record(u, y + noise.T * sizes, s.dt), start, sizes
+
+
+@pytest.mark.parametrize(("kind", "system", "order"), [("force", 603, 6), ("loop", 61000, 8)])
+def test_canonical_variates_of_driven_records_know_the_order_in_open_and_closed_loop(kind, system, order):
+    case = noise_record(kind, system=system, record=0)
+    variates = CanonicalVariates.of([Record(case.inputs, case.outputs, case.system.dt)])
+    assert variates.order == order == case.system.order
+    found = np.log(np.linalg.eigvals(variates.predictor(order).A)) / case.system.dt
+    found = found[found.imag > 0]
+    assert np.abs(np.abs(found)[:, np.newaxis] / (2 * np.pi * case.system.frequencies) - 1.0).min(axis=0).max() < 0.02
+
+
+def test_noise_of_many_states_is_modelled_and_the_system_keeps_its_own():
+    """No count of noise states is tried: four and twelve of them, each as many as there are."""
+    resonant = [
+        [0.9 * np.exp(sign * angle * 1j) for angle in (0.4 + 0.2 * i, 1.8) for sign in (1, -1)] for i in range(3)
+    ]
+    for poles in (([0.9], [0.8], [-0.6, 0.7]), resonant):
+        _, record, start, _ = driven_outputs(3, 3000, poles)
+        found, why = noise_model([record], start, evidence=start)
+        assert found is not None, why
+        assert (found.realisation.order, found.n_noise) == (4, sum(map(len, poles)))
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_modes_are_as_well_known_as_the_noise_of_the_sensors_allows_and_no_better(seed):
+    """A gain of modes that no noise drives fits the noise in their band by chance: they seem better known, or worse."""
+    s, record, start, sizes = driven_outputs(seed, 4000, [[0.8, -0.5]] * 3)
+    found, why = noise_model([record], start, evidence=start)
+    assert found is not None, why
+    modes = extract_modes(found.realisation).modes
+    known = innovation_uncertainty(found, modes, n_lags=1)
+    # filtered by the autoregression of all sensors the noise is white, and the system is the same
+    inputs = scipy.signal.lfilter(np.poly([0.8, -0.5]), [1.0], record.inputs, axis=0)
+    bound = cramer_rao_bound(s, inputs, initial_state=np.zeros(s.order), noise_std=sizes, level="unknown")
+    np.testing.assert_allclose(known.frequency_std, bound.frequency_std, rtol=0.06)
+    np.testing.assert_allclose(known.damping_ratio_std, bound.damping_ratio_std, rtol=0.06)
+    assert (np.abs([mode.frequency for mode in modes] - s.frequencies) < 4.0 * bound.frequency_std).all()
+
+
+def test_states_that_held_out_rows_ask_for_in_vain_are_left_out():
+    """Where hidden forces ring on from block to block, held-out rows take their answers for modes."""
+    case = noise_record("force", system=603, record=0)
+    s, record = case.system, Record(case.inputs, case.outputs, case.system.dt)
+    vain = np.exp((-0.01 + 1j) * np.array([0.29, 0.66]))  # beside two of the modes
+    A = scipy.linalg.block_diag(s.A, *([[pole.real, -pole.imag], [pole.imag, pole.real]] for pole in vain))
+    rng = np.random.default_rng(0)
+    B = np.vstack([s.B, 0.1 * s.B.std() * rng.standard_normal((4, s.n_inputs))])
+    C = np.hstack([s.C, s.C.std() * rng.standard_normal((s.n_outputs, 4))])
+    start = Realisation(A, B, C, s.D, s.dt, K=np.zeros((s.order + 4, s.n_outputs)))
+    found, why = noise_model([record], start, evidence=start)
+    assert found is not None, why
+    assert (found.realisation.order, found.n_noise) == (s.order, 0)
+
+
+def test_a_predictor_whose_errors_follow_the_inputs_is_not_taken():
+    """An echo later than any order that its noise would pay for leaves errors that are white all the same."""
+    s, record, start, _ = driven_outputs(5, 4000, ([0.9], [0.8], [0.7]))
+    rng = np.random.default_rng(6)
+    outputs = record.outputs.copy()
+    u = rng.standard_normal((4000, 1))
+    outputs += simulate(s, u) - simulate(s, record.inputs)
+    outputs[18:] += 0.02 * outputs.std() * u[:-18]
+    found, why = noise_model([Record(u, outputs, s.dt)], start, evidence=start)
+    assert found is None
+    assert "follow the inputs" in why
 
 
 def test_forces_that_nobody_measured_are_the_noise_of_modes_that_the_inputs_hardly_drive():
