@@ -227,8 +227,12 @@ class _Blocks:
     terms: FloatArray
 
 
-def find_changes(values: FloatArray, terms: FloatArray, times: FloatArray, *, clock: bool) -> tuple[LevelChange, ...]:
-    """Every step beyond chance, by time; none where there are too few records to tell.
+def find_changes(
+    values: FloatArray, terms: FloatArray, times: FloatArray, *, clock: bool
+) -> tuple[tuple[LevelChange, ...], FloatArray]:
+    """Every step beyond chance, by time, none where there are too few records to tell; and what is left.
+
+    That is (n_records, n_modes) ln f less the terms and the first level, all of the one fit that gives the steps.
 
     Args:
         values: (n_records, n_modes) ln f, nan where a mode was not found.
@@ -240,14 +244,27 @@ def find_changes(values: FloatArray, terms: FloatArray, times: FloatArray, *, cl
     level = LEVEL * months
     kept = np.where(_outliers(values), np.nan, values)
     edges = _edges(times, clock=clock)
+    blocks, changes = _summed(kept, terms, np.arange(times.size + 1)), list[LevelChange]()
     while edges.size > Blocks.FEWEST_BLOCKS:
         blocks = _summed(kept, terms, edges)
         changes = _changes(blocks, level)
-        left = _left(blocks, changes)
-        if edges.size <= 2 * Blocks.FEWEST_BLOCKS or not _alike(left):
-            return tuple(sorted(changes, key=lambda change: change.since))
+        if edges.size <= 2 * Blocks.FEWEST_BLOCKS or not _alike(_left(blocks, changes)):
+            break
         edges = np.append(edges[:-1:2], edges[-1])
-    return ()
+    return tuple(sorted(changes, key=lambda change: change.since)), _off_the_fit(values, terms, blocks, changes)
+
+
+def _off_the_fit(values: FloatArray, terms: FloatArray, blocks: _Blocks, changes: Sequence[LevelChange]) -> FloatArray:
+    first, n_blocks = blocks.first, blocks.first.size - 1
+    steps = [_after(blocks, int(np.searchsorted(first, change.since)), n_blocks) for change in changes]
+    left = values.copy()
+    for mode, (counts, means, own) in enumerate(zip(blocks.counts.T, blocks.means.T, blocks.terms, strict=True)):
+        there = counts > 0.0
+        weights, level = np.sqrt(counts[there]), means[there].mean()
+        design = np.column_stack([own, *steps])[there] * weights[:, np.newaxis]
+        fitted = np.linalg.lstsq(design, weights * (means[there] - level), rcond=1e-10)[0]
+        left[:, mode] -= level + fitted[0] + terms @ fitted[1 : own.shape[1]]
+    return left
 
 
 def enough_records(times: FloatArray, *, clock: bool) -> bool:
