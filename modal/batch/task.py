@@ -239,7 +239,7 @@ def kept_outcome(place: Path) -> Outcome | None:
         known = json.loads((place / OUTCOME).read_text(encoding="utf-8"))
         listed = {field.name: known[field.name] for field in fields(Outcome)}
         values: dict[str, Any] = {name: tuple(one) if isinstance(one, list) else one for name, one in listed.items()}
-        outcome = Outcome(**values)
+        outcome, _ = Outcome(**values), known["modes"]
     except (OSError, ValueError, KeyError, TypeError):
         return None
     return outcome if outcome.lasting and (outcome.status == "failed" or (place / RESULT).is_file()) else None
