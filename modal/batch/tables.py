@@ -7,19 +7,18 @@ Beside them stands one page: what to look at first, frequencies against time, re
 
 import contextlib
 import json
+import math
 import os
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from modal.batch.task import RESULT, Outcome
-from modal.comparison.shifts import ResultSummary, read_result
+from modal.batch.task import RESULT, Outcome, kept_modes
 from modal.identification.result import Identification, load
-from modal.modes.mode import numbered
 from modal.plots.histories import frequencies_of_records, places_of_records
 from modal.report.pages import environment, inline
 from modal.report.pictures import drawn
@@ -185,7 +184,7 @@ def write_tables(outcomes: Sequence[Outcome], places: Sequence[Path], folder: Pa
             rows = [
                 row
                 for one, place in done[first : first + TableLimits.ROWS_AT_ONCE]
-                for row in _mode_rows(one, read_result(place / RESULT), channels)
+                for row in _mode_rows(one, kept_modes(place), channels)
             ]
             table = pa.Table.from_pylist(rows, schema=schema)
             writer.write_table(table)
@@ -229,23 +228,15 @@ def _mode_schema(channels: Sequence[str]) -> Any:
     )
 
 
-def _mode_rows(one: Outcome, summary: ResultSummary, channels: Sequence[str]) -> Iterator[dict[str, object]]:
+def _mode_rows(
+    one: Outcome, modes: Sequence[Mapping[str, Any]], channels: Sequence[str]
+) -> Iterator[dict[str, object]]:
     where = [channels.index(name) for name in one.outputs]
-    for number, mode in numbered(summary.modes):
-        shape = np.full(len(channels), np.nan + 0j)
-        shape[where] = mode.shape
-        yield {
-            "record": one.record,
-            "start_time": one.start_time,
-            "mode": number,
-            "frequency": mode.frequency,
-            "frequency_std": mode.frequency_std,
-            "damping_ratio": mode.damping_ratio,
-            "damping_ratio_std": mode.damping_ratio_std,
-            "probability": mode.probability,
-            "verdict": mode.verdict,
-            "shape": [{"real": value.real, "imag": value.imag} for value in shape.tolist()],
-        }
+    for mode in modes:
+        shape: list[dict[str, float]] = [{"real": math.nan, "imag": 0.0}] * len(channels)
+        for at, (real, imaginary) in zip(where, mode["shape"], strict=True):
+            shape[at] = {"real": real, "imag": imaginary}
+        yield {**mode, "record": one.record, "start_time": one.start_time, "shape": shape}
 
 
 @contextlib.contextmanager

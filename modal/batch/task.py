@@ -23,12 +23,13 @@ from typing import Any, Literal
 from modal.identification.pipeline import identify
 from modal.identification.result import Identification
 from modal.identification.words import trust_of
+from modal.modes.mode import numbered
 from modal.report.folder import write_folder
 from modal.report.machine import csv_text
 from modal.report.writing import keep_result
 from modal.sections.provenance import installed_version
 from modal.wording.text import shorten
-from okid.errors import IdentificationError, InvalidDataError, visible
+from okid.errors import IdentificationError, InvalidDataError, UnreadableFileError, visible
 from okid.readers import read_records
 from okid.readers.dispatch import READERS
 from okid.record import InputHold, Record
@@ -93,12 +94,12 @@ def units_of(sources: Sources, settings: Settings, *, group_by: str | None, besi
     else:
         groups = _grouped(files, group_by)
     first: dict[tuple[str, ...], str] = {}
-    units = []
+    units, version = [], installed_version()
     for record in sorted(groups):
         hashes = tuple(_hash(file) for file in groups[record])
         twin = first.setdefault(hashes, record) if all(hashes) else record
         paths = tuple(map(str, groups[record]))
-        key = _digest(json.dumps([installed_version(), asdict(settings), record, hashes, [] if all(hashes) else paths]))
+        key = _digest(json.dumps([version, asdict(settings), record, hashes, [] if all(hashes) else paths]))
         units.append(Unit(record=record, paths=paths, hashes=hashes, twin="" if twin == record else twin, key=key))
     return tuple(units)
 
@@ -238,7 +239,7 @@ def kept_outcome(place: Path) -> Outcome | None:
         known = json.loads((place / OUTCOME).read_text(encoding="utf-8"))
         listed = {field.name: known[field.name] for field in fields(Outcome)}
         values: dict[str, Any] = {name: tuple(one) if isinstance(one, list) else one for name, one in listed.items()}
-        outcome = Outcome(**values)
+        outcome, _ = Outcome(**values), known["modes"]
     except (OSError, ValueError, KeyError, TypeError):
         return None
     return outcome if outcome.lasting and (outcome.status == "failed" or (place / RESULT).is_file()) else None
@@ -284,7 +285,39 @@ def run_unit(unit: Unit, settings: Settings, folder: str) -> Outcome:
         keep_result(result, made / RESULT, files=unit.hashes)
         (made / MODES).write_bytes(csv_text(result).encode("utf-8"))
 
-    return _commit(outcome, place, write)
+    return _commit(outcome, place, write, modes=_mode_rows(result))
+
+
+def _mode_rows(result: Identification) -> list[dict[str, object]]:
+    """What the table of modes says of a result: complex numbers as pairs."""
+    return [
+        {
+            "mode": number,
+            "frequency": mode.frequency,
+            "frequency_std": mode.frequency_std,
+            "damping_ratio": mode.damping_ratio,
+            "damping_ratio_std": mode.damping_ratio_std,
+            "probability": mode.probability,
+            "verdict": mode.verdict,
+            "shape": [[value.real, value.imag] for value in mode.shape.tolist()],
+        }
+        for number, mode in numbered(result.modes.modes)
+    ]
+
+
+def kept_modes(place: Path) -> list[dict[str, Any]]:
+    """A row a pole of what is kept of a record.
+
+    Raises:
+        UnreadableFileError: it is damaged or gone.
+    """
+    try:
+        rows: list[dict[str, Any]] = json.loads((place / OUTCOME).read_text(encoding="utf-8"))["modes"]
+    except (OSError, ValueError, KeyError) as error:
+        raise UnreadableFileError(
+            f"{_shown(place)} is damaged or gone; remove what is left of it and give the same command again."
+        ) from error
+    return rows
 
 
 def write_failure(outcome: Outcome, place: Path) -> Outcome:
@@ -293,7 +326,7 @@ def write_failure(outcome: Outcome, place: Path) -> Outcome:
     Raises:
         InvalidDataError: the folder cannot be written.
     """
-    return _commit(outcome, place, lambda _made: None)
+    return _commit(outcome, place, lambda _made: None, modes=[])
 
 
 def _identified(unit: Unit, settings: Settings) -> tuple[tuple[Record, ...], Identification]:
@@ -313,10 +346,12 @@ def _identified(unit: Unit, settings: Settings) -> tuple[tuple[Record, ...], Ide
         )
 
 
-def _commit(outcome: Outcome, place: Path, write: Callable[[Path], None]) -> Outcome:
+def _commit(
+    outcome: Outcome, place: Path, write: Callable[[Path], None], *, modes: Sequence[dict[str, object]]
+) -> Outcome:
     def write_all(made: Path) -> None:
         write(made)
-        (made / OUTCOME).write_text(json.dumps(asdict(outcome), indent=1) + "\n", encoding="utf-8")
+        (made / OUTCOME).write_text(json.dumps({**asdict(outcome), "modes": modes}) + "\n", encoding="utf-8")
 
     try:
         write_folder(place, [OUTCOME], write_all, existing="replace")

@@ -1,6 +1,7 @@
 """`modal-report batch`: many files identified, each once, by several processes or a cluster; one table of all modes."""
 
 import contextlib
+import logging
 import shlex
 from collections.abc import Iterator
 from concurrent.futures import Executor
@@ -102,6 +103,7 @@ def _executor(workers: int | None, scheduler: str | None) -> Iterator[Executor]:
             "--scheduler needs dask.distributed, which is not installed; install it with pip install "
             "'okid-modal[dask]', or use --workers."
         ) from error
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters comes as an error, in one sentence
     try:
         client = Client(scheduler, timeout=10.0)  # a few round trips of the slowest network
     except (OSError, ValueError) as error:  # no answer, or no address

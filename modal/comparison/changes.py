@@ -4,7 +4,9 @@ The standard deviations of two independent results add in squares. A shift d of 
 Student's t with the degrees of freedom of both (Welch-Satterthwaite). Twenty modes make sixty tests, of which three
 would "find" something in nothing; so the verdict "beyond chance" is Holm's: over all tests of the comparison together,
 it is wrong in at most 5 % of comparisons of a thing with itself. A shift outside its own interval that does not pass is
-said to be just that.
+said to be just that. One of the tests is of the frequencies of all matched modes together, as `modal.track` tests them:
+what softens a structure moves many modes a little, and none need be remarkable by itself. Errors of different modes of
+one result count as independent.
 
 A shape of complex components with standard deviations has no known correlation between these. The test takes the worst
 one: with the squared distance Q of two shapes after the best complex scaling and the sum T of the variances, P(Q > q)
@@ -13,6 +15,7 @@ is at most P(chi^2_1 > q / T) where q / T > 1.54, whatever the correlation. It c
 References:
     Holm, "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics 6(2), 1979,
     65-70 (www.jstor.org/stable/4615733).
+    Hotelling, The Annals of Mathematical Statistics 2(3), 1931, doi 10.1214/aoms/1177732979.
     Welch, Biometrika 34, 1947, doi 10.1093/biomet/34.1-2.28.
     Szekely, Bakirov, "Extremal probabilities for Gaussian quadratic forms", Probability Theory and Related Fields 126,
     2003, doi 10.1007/s00440-003-0262-6 (the bound on Q).
@@ -23,11 +26,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
+import scipy
+
 from modal.comparison.shifts import (
     LEVEL,
     ChannelName,
     ResultSummary,
     Shift,
+    chance_together,
     damping_shift,
     frequency_shift,
     match_modes,
@@ -164,7 +171,10 @@ class Comparison(Displayed):
         differences: channels, units, sampling and settings that are not the same.
         same_data: whether both come from the same measured data, so that their errors are not independent; None where
             that is not known.
-        n_tests: shifts that were tested together.
+        n_tests: tests of shifts, that of all frequencies together among them.
+        together: chance of frequency shifts so large in all modes together where nothing changed; nan with fewer than
+            two that are known.
+        moved_together: whether that is beyond chance.
         level: chance of a false "beyond chance" in the whole comparison.
     """
 
@@ -176,13 +186,16 @@ class Comparison(Displayed):
     differences: tuple[Difference, ...]
     same_data: bool | None
     n_tests: int
+    together: float = math.nan
+    moved_together: bool = False
     level: float = LEVEL
 
     @property
     def changed(self) -> bool:
-        """Whether a matched mode shifted beyond chance, or a mode of the system is lost or new."""
+        """Whether matched modes shifted beyond chance, one or all together, or a mode of the system is lost or new."""
         alone = (*self.lost, *self.new)
-        return any(pair.changed for pair in self.pairs) or any(one.mode.verdict == "system" for one in alone)
+        shifted = self.moved_together or any(pair.changed for pair in self.pairs)
+        return shifted or any(one.mode.verdict == "system" for one in alone)
 
 
 def compare_results(before: Identification | ResultSummary, after: Identification | ResultSummary) -> Comparison:
@@ -222,7 +235,8 @@ def compare_results(before: Identification | ResultSummary, after: Identificatio
                 shape=shape_shift(first, second, (i, j), shapes, float(matching.assurance[i, j])),
             )
         )
-    judged = with_verdicts([pair.shifts for pair in pairs], level=LEVEL)
+    together = _together([pair.frequency.p_value for pair in pairs])
+    judged, moved = with_verdicts([pair.shifts for pair in pairs], together, level=LEVEL)
     return Comparison(
         before=first,
         after=second,
@@ -234,8 +248,19 @@ def compare_results(before: Identification | ResultSummary, after: Identificatio
         new=_alone(second, matching.new, first, {i for i, _ in matching.pairs}),
         differences=differences_of(first, second),
         same_data=_same_data(first.data, second.data),
-        n_tests=sum(math.isfinite(shift.p_value) for pair in pairs for shift in pair.shifts),
+        n_tests=sum(map(math.isfinite, [together, *(shift.p_value for pair in pairs for shift in pair.shifts)])),
+        together=together,
+        moved_together=moved,
     )
+
+
+def _together(p_values: Sequence[float]) -> float:
+    """Chance of all shifts together; each counts as the normal deviation that is as rare, whatever its freedom."""
+    known = np.array([p for p in p_values if math.isfinite(p)])
+    if known.size < 2:
+        return math.nan
+    scores = scipy.special.ndtri(np.maximum(known, np.finfo(np.float64).tiny) / 2.0)
+    return chance_together(scores, np.eye(known.size), math.inf)
 
 
 def _same_data(first: Sequence[str], second: Sequence[str]) -> bool | None:

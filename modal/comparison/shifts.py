@@ -369,18 +369,48 @@ def shape_shift(
     return replace(blank, half_width=most, p_value=p_value)
 
 
-def with_verdicts(several: Sequence[tuple[Shift, ...]], *, level: float) -> list[tuple[Shift, ...]]:
-    """The same shifts with their verdicts: Holm's test over all of them together.
+def with_verdicts(
+    several: Sequence[tuple[Shift, ...]], together: float, *, level: float
+) -> tuple[list[tuple[Shift, ...]], bool]:
+    """The same shifts with their verdicts, and whether they are beyond chance together: Holm's test over all of this.
 
     Args:
         several: the shifts of each pair.
+        together: chance of the frequency shifts of all pairs, nan for no such test.
         level: chance of a false "beyond chance" among all of them.
     """
     flat = [shift.p_value for shifts in several for shift in shifts]
-    rejected = iter(holm(flat, level=level))
-    return [
+    *each, all_beyond = holm([*flat, together], level=level)
+    rejected = iter(each)
+    judged = [
         tuple(replace(shift, verdict=_verdict(shift, beyond=next(rejected))) for shift in shifts) for shifts in several
     ]
+    return judged, all_beyond
+
+
+def chance_together(scores: FloatArray, correlation: FloatArray, freedom: float) -> float:
+    """Chance of shifts so large in all modes together where none moved, by Hotelling's T^2 = t' R^-1 t.
+
+    With nu degrees of freedom behind the deviations of m shifts, (nu - m + 1) / (nu m) T^2 is F(m, nu - m + 1).
+
+    Args:
+        scores: (m,) shifts over their standard deviations, t.
+        correlation: (m, m) of their errors, R.
+        freedom: nu, at least m; infinite where the deviations are known.
+
+    References:
+        Hotelling, The Annals of Mathematical Statistics 2(3), 1931, 360-378, doi 10.1214/aoms/1177732979.
+
+    Example:
+        >>> two = np.array([2.2, -2.2])
+        >>> [round(chance_together(two[:m], np.eye(m), math.inf), 4) for m in (1, 2)]
+        [0.0278, 0.0079]
+    """
+    m, squared = scores.size, float(scores @ np.linalg.lstsq(correlation, scores, rcond=1e-10)[0])
+    if not math.isfinite(freedom):
+        return float(scipy.special.chdtrc(m, squared))
+    rest = freedom - m + 1.0
+    return float(scipy.special.fdtrc(m, rest, squared * rest / (freedom * m)))
 
 
 def holm(p_values: Sequence[float], *, level: float) -> list[bool]:

@@ -34,6 +34,8 @@ def comparison_headline(comparison: Comparison) -> str:
         words = (
             f"{matched} changed beyond chance" if shifted else f"None of {n_pairs} matched modes changed beyond chance"
         )
+    if comparison.moved_together and not shifted:
+        words += " by itself, but the frequencies of all did together"
     unknown = f"; of {untested} it cannot be told" if untested else ""
     return f"{words}{unknown}{'; ' + rest if rest else ''}."
 
@@ -130,7 +132,10 @@ def how_sentence(comparison: Comparison) -> str:
         return "No shift was tested, because no mode is in both results."
     if not comparison.n_tests:
         return "No shift could be tested, because no uncertainty is known."
-    tests = "One shift was tested" if comparison.n_tests == 1 else f"{comparison.n_tests} shifts were tested together"
+    n_tests, told = comparison.n_tests, ""
+    if math.isfinite(comparison.together):
+        n_tests, told = n_tests - 1, ", one by one and the frequencies of all modes as one"
+    tests = "One shift was tested" if n_tests == 1 else f"{n_tests} shifts were tested together{told}"
     return (
         f"{tests} (Holm): if nothing had changed, and the intervals of both results are right, the chance that any of "
         f"them were called beyond chance would be at most {100 * comparison.level:.0f} %."

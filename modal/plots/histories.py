@@ -180,14 +180,22 @@ class TrackLine(Protocol):
         ...
 
 
-def frequencies_in_time(tracks: Sequence[TrackLine], alarms: Sequence[float], *, clock: bool) -> Chart:
-    """Frequencies of all modes, and what is left of each without the causes, with the alarms as upright lines.
+def frequencies_in_time(
+    tracks: Sequence[TrackLine], changes: Sequence[tuple[float, FloatArray]], *, clock: bool
+) -> Chart:
+    """Frequencies of all modes, and what is left of each without the causes, with the changes as upright lines.
 
-    Where there are alarms, what is left is faint and its means between them stand out: the steps.
+    Where there are changes, what is left is faint and the levels that they lead to stand out.
+
+    Args:
+        tracks: in the order of their numbers.
+        changes: since when, and (n_tracks,) the relative change of each frequency, nan where it is not known.
+        clock: times are seconds.
     """
     figure = grid_of(2, 1, size=(STYLE.page, 7.0), down=(1.5, 1.0))
     above, below = figure.panels
-    every = np.unique(np.concatenate([np.empty(0), *(one.times for one in tracks), np.asarray(alarms)]))
+    since = [time for time, _ in changes]
+    every = np.unique(np.concatenate([*(one.times for one in tracks), since]))
     along, label = places_of_records(every, every) if clock else (every, "record")
     dot = _dot(every.size)
     for number, one in enumerate(tracks):
@@ -198,12 +206,13 @@ def frequencies_in_time(tracks: Sequence[TrackLine], alarms: Sequence[float], *,
         n_means = max(-(-x.size // MEANS), min(x.size, MEANS))
         parts = np.array_split(np.arange(x.size), n_means) if n_means else []
         means = [x[part].mean() for part in parts], [100 * one.left[part].mean() for part in parts]
-        below.line(*means, role, width=STYLE.thin, opacity=STYLE.pale if alarms else 1.0)
-        stretches = np.split(np.arange(x.size), np.unique(np.searchsorted(one.times, alarms))) if alarms else []
-        for stretch in filter(len, stretches):
-            level = 100 * float(one.left[stretch].mean())
-            below.line([x[stretch[0]], x[stretch[-1]]], [level, level], role, width=STYLE.thick)
-    for time in alarms:
+        below.line(*means, role, width=STYLE.thin, opacity=STYLE.pale if changes else 1.0)
+        levels = 100 * np.cumsum([0.0, *(np.nan_to_num(np.log1p(shifts[number])) for _, shifts in changes)])
+        stretches = np.split(np.arange(x.size), np.searchsorted(one.times, since)) if changes else []
+        for stretch, level in zip(stretches, levels, strict=False):
+            if stretch.size:
+                below.line([x[stretch[0]], x[stretch[-1]]], [level, level], role, width=STYLE.thick)
+    for time in since:
         for panel in (above, below):
             panel.upright(float(along[np.searchsorted(every, time)]), "residual", width=STYLE.thick)
     above.x.labelled, above.x.limits = False, above.x.fitted(along)

@@ -169,6 +169,8 @@ def comparison_json(comparison: Comparison) -> str:
         "changed": comparison.changed,
         "same_data": comparison.same_data,
         "n_tests": comparison.n_tests,
+        "together": comparison.together,
+        "moved_together": comparison.moved_together,
         "level": comparison.level,
         "pairs": [_pair(pair) for pair in comparison.pairs],
         "lost": [_unmatched(one) for one in comparison.lost],

@@ -2,11 +2,8 @@
 
 The records are summed up in blocks (a day each, longer ones where neighbours still resemble each other), so that what
 is left in one block says nothing of the next. In each mode the regression on the causes is fitted with a step
-at a time tau; the steps of all modes together are tested by Hotelling's T^2,
-
-    T^2(tau) = t' R^-1 t,    (nu - m + 1) / (nu m) T^2 ~ F(m, nu - m + 1)
-
-with t the steps over their deviations, R the correlation of what is left between modes, nu its degrees of freedom. The
+at a time tau; the steps of all modes together are tested by Hotelling's T^2 = t' R^-1 t, as two results are
+(`modal.comparison`), with t the steps over their deviations and R the correlation of what is left between modes. The
 time of the largest T^2 is a change if chance makes one so large nowhere in the table (Bonferroni over all tau) with the
 level of the table; it is fitted with the rest, and the next is looked for. The alarm stands where the change was beyond
 chance for the first time: at the end of the first block that the blocks since the change suffice for.
@@ -14,9 +11,6 @@ chance for the first time: at the end of the first block that the blocks since t
 The regression: ln f of each mode is a level and a polynomial of each cause as the structure feels it, part at once,
 part through a body that follows within hours or days (an exponential mean). Part, time constant and degree are one
 choice for all modes: that of the least error on months that were not fitted to.
-
-References:
-    Hotelling, The Annals of Mathematical Statistics 2(3), 1931, 360-378, doi 10.1214/aoms/1177732979.
 """
 
 import math
@@ -26,8 +20,8 @@ from itertools import pairwise, product
 from typing import Final
 
 import numpy as np
-import scipy
 
+from modal.comparison.shifts import chance_together
 from okid.arrays import BoolArray, FloatArray
 
 
@@ -227,8 +221,12 @@ class _Blocks:
     terms: FloatArray
 
 
-def find_changes(values: FloatArray, terms: FloatArray, times: FloatArray, *, clock: bool) -> tuple[LevelChange, ...]:
-    """Every step beyond chance, by time; none where there are too few records to tell.
+def find_changes(
+    values: FloatArray, terms: FloatArray, times: FloatArray, *, clock: bool
+) -> tuple[tuple[LevelChange, ...], FloatArray]:
+    """Every step beyond chance, by time, none where there are too few records to tell; and what is left.
+
+    That is (n_records, n_modes) ln f less the terms and the first level, all of the one fit that gives the steps.
 
     Args:
         values: (n_records, n_modes) ln f, nan where a mode was not found.
@@ -240,14 +238,27 @@ def find_changes(values: FloatArray, terms: FloatArray, times: FloatArray, *, cl
     level = LEVEL * months
     kept = np.where(_outliers(values), np.nan, values)
     edges = _edges(times, clock=clock)
+    blocks, changes = _summed(kept, terms, np.arange(times.size + 1)), list[LevelChange]()
     while edges.size > Blocks.FEWEST_BLOCKS:
         blocks = _summed(kept, terms, edges)
         changes = _changes(blocks, level)
-        left = _left(blocks, changes)
-        if edges.size <= 2 * Blocks.FEWEST_BLOCKS or not _alike(left):
-            return tuple(sorted(changes, key=lambda change: change.since))
+        if edges.size <= 2 * Blocks.FEWEST_BLOCKS or not _alike(_left(blocks, changes)):
+            break
         edges = np.append(edges[:-1:2], edges[-1])
-    return ()
+    return tuple(sorted(changes, key=lambda change: change.since)), _off_the_fit(values, terms, blocks, changes)
+
+
+def _off_the_fit(values: FloatArray, terms: FloatArray, blocks: _Blocks, changes: Sequence[LevelChange]) -> FloatArray:
+    first, n_blocks = blocks.first, blocks.first.size - 1
+    steps = [_after(blocks, int(np.searchsorted(first, change.since)), n_blocks) for change in changes]
+    left = values.copy()
+    for mode, (counts, means, own) in enumerate(zip(blocks.counts.T, blocks.means.T, blocks.terms, strict=True)):
+        there = counts > 0.0
+        weights, level = np.sqrt(counts[there]), means[there].mean()
+        design = np.column_stack([own, *steps])[there] * weights[:, np.newaxis]
+        fitted = np.linalg.lstsq(design, weights * (means[there] - level), rcond=1e-10)[0]
+        left[:, mode] -= level + fitted[0] + terms @ fitted[1 : own.shape[1]]
+    return left
 
 
 def enough_records(times: FloatArray, *, clock: bool) -> bool:
@@ -402,8 +413,7 @@ def _joint(cleared: Sequence[_Cleared], step: FloatArray) -> float:
     filled = np.nan_to_num(left[:, told])
     size = np.linalg.norm(filled, axis=0)
     correlation = filled.T @ filled / np.outer(size, size)
-    squared, m = float(t @ np.linalg.lstsq(correlation, t, rcond=1e-10)[0]), told.size
-    return float(scipy.special.fdtrc(m, least - m + 1, squared * (least - m + 1) / (least * m)))
+    return chance_together(t, correlation, least)
 
 
 def _steps(cleared: Sequence[_Cleared], step: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

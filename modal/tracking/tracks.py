@@ -52,7 +52,8 @@ class Track(Displayed):
         number: from 0 by median frequency; the column "track" of `Tracks.modes`.
         frequency: (n_found,) [Hz].
         times: (n_found,) of the records in which it was found [s], or their numbers where they have no times.
-        left: (n_found,) of ln f, less what the causes explain: zero in the mean before the first change.
+        left: (n_found,) of ln f, less what the causes explain and the level before the first change, in the fit that
+            gave the alarms their shifts.
         explained: share of the variance of ln f that the causes explain on held-out months; nan without causes.
         born: its first time, None where it may have been there from the start.
         died: its last time, None where it may still be there.
@@ -163,17 +164,11 @@ def track(batch_or_table: Any, *, causes: Mapping[str, npt.ArrayLike] | None = N
     values[place[record[mine]], owner[mine]] = np.log(frequency[mine])
     causes_in_order = {name: cause[order] for name, cause in given.items()}
     environment = explain(values, causes_in_order, times, clock=clock)
-    changes = find_changes(values, environment.terms, times, clock=clock)
+    changes, left = find_changes(values, environment.terms, times, clock=clock)
     if changes and environment.terms.size:  # a large step bends how the causes seem to be felt, and so hides itself
         environment = explain(_without(values, changes), causes_in_order, times, clock=clock)
-        changes = find_changes(values, environment.terms, times, clock=clock)
-    first = changes[0].since if changes else order.size
-    steps = np.array([np.arange(order.size) >= change.since for change in changes], dtype=np.float64)
-    design = np.column_stack([np.ones(order.size), environment.terms, *steps])
-    tracks = tuple(
-        _track(k, values[:, k], times, _left(values[:, k], design, environment.terms, first), environment.explained[k])
-        for k in range(n_tracks)
-    )
+        changes, left = find_changes(values, environment.terms, times, clock=clock)
+    tracks = tuple(_track(k, values[:, k], times, left[:, k], environment.explained[k]) for k in range(n_tracks))
     return Tracks(
         modes=_with_tracks(table, owner),
         tracks=tracks,
@@ -257,15 +252,6 @@ def _without(values: FloatArray, changes: Sequence[LevelChange]) -> FloatArray:
     return levels
 
 
-def _left(values: FloatArray, design: FloatArray, terms: FloatArray, first: int) -> FloatArray:
-    """(n_found,) less the causes, as they are fitted beside the changes; its level is that before record `first`."""
-    there = ~np.isnan(values)
-    coefficients = np.linalg.lstsq(design[there], values[there] - np.nanmean(values), rcond=1e-10)[0]
-    left: FloatArray = values[there] - terms[there] @ coefficients[1 : 1 + terms.shape[1]]
-    before = np.flatnonzero(there) < first
-    return left - left[before if before.any() else slice(None)].mean()
-
-
 def _track(number: int, values: FloatArray, times: FloatArray, left: FloatArray, explained: float) -> Track:
     found = np.flatnonzero(~np.isnan(values))
     life = found[-1] - found[0] + 1
@@ -277,7 +263,7 @@ def _track(number: int, values: FloatArray, times: FloatArray, left: FloatArray,
         number=number,
         frequency=np.exp(values[found]),
         times=times[found],
-        left=left,
+        left=left[found],
         explained=float(explained),
         born=float(times[found[0]]) if born and found[0] else None,
         died=float(times[found[-1]]) if died and found[-1] < values.size - 1 else None,
@@ -535,7 +521,7 @@ def _explained(share: float) -> str:
 
 def _caption(tracks: Tracks) -> str:
     causes = ", ".join(tracks.causes) or "none was given, or none helps"
-    marked = " Upright lines: since when something changed; level ones: the means between." if tracks.alarms else ""
+    marked = " Upright lines: since when something changed; level ones: how far." if tracks.alarms else ""
     return (
         "Above, a dot for each mode in each record; below, how far each frequency is off its level before the first "
         f"change once the causes ({causes}) are taken off, as means of neighbouring records.{marked}"
@@ -567,7 +553,7 @@ def write_tracks(tracks: Tracks, folder: Path) -> tuple[Path, Path]:
                 ),
             )
         )
-    chart = frequencies_in_time(tracks.tracks, [alarm.since for alarm in tracks.alarms], clock=tracks.clock)
+    chart = frequencies_in_time(tracks.tracks, [(one.since, one.shifts) for one in tracks.alarms], clock=tracks.clock)
     text = (
         environment(html=True)
         .get_template("tracks.html.j2")

@@ -41,7 +41,8 @@ def main():
             count(compare_results(before, after), counts)
         for share in SHARES:
             for before, after in itertools.pairwise(results):
-                seen[share].append(detected(compare_results(before, faster(after, share))))
+                found = compare_results(before, faster(after, share))
+                seen[share].append((detected(found), found.moved_together))
         print(seed, dict(counts), flush=True)
     report(counts, seen)
 
@@ -72,7 +73,11 @@ def count(comparison, counts):
     counts["lost or new system modes"] += sum(
         one.mode.verdict == "system" for one in (*comparison.lost, *comparison.new)
     )
-    counts["with a false alarm"] += any(shift.verdict == "beyond chance" for shift in shifts)
+    alarm = comparison.moved_together or any(shift.verdict == "beyond chance" for shift in shifts)
+    counts["with a false alarm"] += alarm
+    counts["together tests"] += np.isfinite(comparison.together)
+    counts["together below 5 %"] += comparison.together < 0.05
+    counts["together beyond chance"] += comparison.moved_together
     for what in ("frequency", "damping ratio", "shape"):
         tested = [shift for shift in shifts if shift.what == what and np.isfinite(shift.p_value)]
         counts[f"{what} tests"] += len(tested)
@@ -93,17 +98,18 @@ def report(counts, seen):
     n = counts["comparisons"]
     print(f"{n} comparisons of a system with itself, {counts['matched']} matched modes")
     print(f"a false alarm in {counts['with a false alarm']} of them ({100 * counts['with a false alarm'] / n:.1f} %)")
-    for what in ("frequency", "damping ratio", "shape"):
+    for what in ("frequency", "damping ratio", "shape", "together"):
         tests = max(counts[f"{what} tests"], 1)
         below, beyond = counts[f"{what} below 5 %"], counts[f"{what} beyond chance"]
         print(f"{what}: {tests} tests, {100 * below / tests:.1f} % outside their interval, {beyond} beyond chance")
     print(f"lost or new modes of the system: {counts['lost or new system modes']}")
     for share, comparisons in seen.items():
-        flat = [found for one in comparisons for _, found in one]
-        some = np.mean([any(found for _, found in one) for one in comparisons])
+        flat = [found for one, _ in comparisons for _, found in one]
+        some = np.mean([any(found for _, found in one) for one, _ in comparisons])
+        together = np.mean([moved for _, moved in comparisons])
         print(
             f"all frequencies up by {100 * share:g} %: seen in {100 * np.mean(flat):.0f} % of the modes, "
-            f"in at least one mode of {100 * some:.0f} % of the comparisons"
+            f"in at least one mode of {100 * some:.0f} % of the comparisons, in all together in {100 * together:.0f} %"
         )
 
 

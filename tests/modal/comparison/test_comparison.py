@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import chi2
 from systems import random_system, simulate
 
 from modal.comparison import words
@@ -176,13 +177,26 @@ def test_results_without_modes_can_be_compared(result):
     [(1.0, "within its interval"), (1.9, "within its interval"), (2.05, "perhaps chance"), (4.0, "beyond chance")],
 )
 def test_a_frequency_is_weighed_by_its_joint_deviation(result, deviations, verdict):
-    """Of 12 tests, Holm's first needs p < 0.05 / 12: 2.87 standard deviations."""
+    """Of 13 tests, Holm's first needs p < 0.05 / 13: 2.89 standard deviations."""
     found = compare_results(result, other(result, 1, 1 + deviations * math.sqrt(2) * STD))
     shift = found.pairs[1].frequency
     assert shift.verdict == verdict
     assert shift.half_width == pytest.approx(1.96 * math.sqrt(2) * STD, rel=1e-3)
     assert found.changed == (verdict == "beyond chance")
     assert verdict.split()[0] in words.shift_sentence(shift) or verdict == "perhaps chance"
+
+
+@pytest.mark.parametrize(("deviations", "beyond"), [(1.2, False), (2.2, True)])
+def test_all_frequencies_that_moved_a_little_are_beyond_chance_together(result, deviations, beyond):
+    """No one of 12 tests is remarkable, but chi^2 of four shifts of 2.2 deviations is 19.4, and by chance 0.07 %."""
+    softer = with_modes(result, [moved(mode, 1 - deviations * math.sqrt(2) * STD) for mode in result.modes.modes])
+    found = compare_results(result, softer)
+    assert not any(pair.changed for pair in found.pairs)
+    assert found.together == pytest.approx(chi2.sf(4 * deviations**2, 4), rel=0.02)
+    assert (found.moved_together, found.changed) == (beyond, beyond)
+    assert ("by itself, but the frequencies of all did together" in words.comparison_headline(found)) == beyond
+    assert "the frequencies of all modes as one" in words.how_sentence(found)
+    assert math.isnan(compare_results(*(with_modes(one, one.modes.modes[:1]) for one in (result, softer))).together)
 
 
 def test_a_damping_ratio_that_shifted_is_seen_and_one_that_is_not_resolved_is_not_compared(result):

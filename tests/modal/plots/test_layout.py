@@ -139,11 +139,13 @@ def test_records_that_failed_keep_their_numbers_and_the_panels_of_tracks_share_t
     assert (places.tolist(), along) == ([1.0, 2.0, 4.0], "record")
     times = np.arange(1.0, 41.0)
     tracks = [SimpleNamespace(frequency=f + 0 * times, times=times, left=0.01 * times) for f in (2.0, 5.0)]
-    chart = frequencies_in_time(tracks, [31.0], clock=False)
+    chart = frequencies_in_time(tracks, [(31.0, np.array([-0.01, np.nan]))], clock=False)
     chart.arrange()
     above, below = chart.panels
     assert above.x.limits == below.x.limits
     assert above.place(np.array([31.0, 2.0]))[0] == pytest.approx(below.place(np.array([31.0, 0.0]))[0])
+    levels = [mark.y for mark in below.marks if len(mark.y) == 2 and np.isfinite(mark.y).all()]
+    np.testing.assert_allclose(levels, 100 * np.log1p([[0.0] * 2, [-0.01] * 2, [0.0] * 2, [0.0] * 2]))
     assert chart.key is not None  # outside: no key hides a dot
     assert above.key is None
 

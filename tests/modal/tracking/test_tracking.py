@@ -73,6 +73,11 @@ def test_a_loss_of_stiffness_is_found_within_a_month_and_nothing_else(seed):
     alarm = result.alarms[0]
     assert year.change <= alarm.time <= year.change + 30 * DAY
     assert abs(alarm.since - year.change) < 5 * DAY
+    for one in result.tracks:  # the page draws what the sentence says
+        later = one.times >= alarm.since
+        before, after = one.left[~later].mean(), one.left[later].mean()
+        close = 0.01 * alarm.shifts_std[one.number]
+        assert (before, np.expm1(after)) == pytest.approx((0.0, alarm.shifts[one.number]), abs=close)
     assert "temperature" in result.causes[0]
     assert min(one.explained for one in result.tracks) > 0.95
     bending = [one.number for one in result.tracks if year.truth[owners(result) == one.number][0] < 3]
