@@ -483,7 +483,7 @@ def roots(setup: Setup) -> tuple[Node, Node]:
 
 def locate_gap(setup: Setup, root: Node, modes: LevelModes | None = None) -> Location:
     """Where the calibrated linear model and the records disagree."""
-    setup.task.report("locating the gap", 0.85)
+    setup.task.report("locating the gap", 0.04)
     gap = measure_gap(setup.fit, simulated_records(setup.fit, root.fitted), setup.floor.variance[: len(setup.fit)])
     return locate(gap, modes=level_modes(setup.fit) if modes is None else modes, lines=measure_lines(setup.fit))
 

@@ -30,6 +30,7 @@ from modal.discrepancy.fitting.nodes import (
 )
 from modal.discrepancy.fitting.observed_fits import CLEAR
 from modal.discrepancy.results import EVEN, Finding, LackOfFit, LawCurve, masses_text, something, worst_left
+from modal.discrepancy.selection.beam import search_effects
 from modal.discrepancy.selection.form_free import CurveSearch
 from modal.discrepancy.selection.lack_of_fit import SLIGHT, lack_of_fit, undecided_laws, what_is_left
 from modal.discrepancy.selection.smaller_models import (
@@ -40,7 +41,7 @@ from modal.discrepancy.selection.smaller_models import (
     sureness,
     without,
 )
-from modal.discrepancy.setup import circumstances_of
+from modal.discrepancy.setup import Setup, circumstances_of, with_coloured_floor, with_uncovered_floor
 from modal.effects.ambiguity import ambiguous_with
 from modal.effects.catalogue import effect_name, effects_at
 from modal.effects.effect import is_form_free
@@ -95,6 +96,19 @@ class Decision(Displayed):
     notes: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
     laws: tuple[LawCurve, ...] = ()
+
+
+def search_and_decide(setup: Setup, as_given: Node, root: Node) -> tuple[Setup, tuple[Node, ...], Node, Decision]:
+    """Search beside the calibrated model, look at the floor again, and choose.
+
+    Returns:
+        The setup by the floor that the search has shown, the models, the model as given, the decision.
+    """
+    curves = CurveSearch()
+    nodes = search_effects(root, setup.task, curves=curves)
+    setup, nodes, as_given = with_coloured_floor(*with_uncovered_floor(setup, nodes, as_given))
+    setup.task.report("deciding", 0.9)
+    return setup, nodes, as_given, decide_nodes(nodes, setup.task, setup.fit, curves)
 
 
 def decide_nodes(
@@ -284,6 +298,7 @@ def _only_masses(best: Node, root: Node, nodes: Sequence[Node], task: Task) -> D
         margins=(float("inf"),) * before,
         reasons=tuple(reasons),
         lack_of_fit=tests,
+        notes=(LIKE_NOISE,) if best.held_out_level > AT_FLOOR and not reasons else (),
     )
 
 
@@ -377,7 +392,8 @@ def _nothing(root: Node, task: Task) -> Decision:
     if explained:
         left = (f"no effect that was tried counts, but {words}",) if words else ()
         status: Literal["none", "unresolved"] = "unresolved" if left else "none"
-        return Decision(status=status, node=root, runners=(), margins=(), reasons=left, lack_of_fit=tests)
+        notes = (LIKE_NOISE,) if root.held_out_level > AT_FLOOR and not left else ()
+        return Decision(status=status, node=root, runners=(), margins=(), reasons=left, lack_of_fit=tests, notes=notes)
     reasons = ("no effect that was tried brings the held-out error down by a tenth", *_untried(root, task, most=np.inf))
     if tests:
         reasons = (words or LIKE_NOISE, *reasons)

@@ -36,7 +36,15 @@ from modal.discrepancy.fitting.estimation import (
     simulate_at,
     weights_along,
 )
-from modal.discrepancy.fitting.nodes import SMALLEST_GAIN, Node, Task, fitted_either_way, node_of, polished
+from modal.discrepancy.fitting.nodes import (
+    ITERATIONS,
+    SMALLEST_GAIN,
+    Node,
+    Task,
+    fitted_either_way,
+    node_of,
+    polished,
+)
 from modal.effects.catalogue import CATALOGUE
 from modal.simulation.assembly import Assembly, EffectPlacement, Unknowns, place_effect
 from modal.simulation.tolerances import NEAR_FLOOR
@@ -237,8 +245,8 @@ def simple_first(items: Sequence[T], law: Callable[[T], Law], near: Callable[[T,
     return ordered
 
 
-ITERATIONS, LONGEST = 20, 60
-"""End the fit that finds a gain after the first, and one to its end after the second number of iterations."""
+LONGEST = 60
+"""End the fit of a gain after so many iterations."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
