@@ -15,10 +15,7 @@ from modal.discrepancy.fitting.observer_form import LostMotion, observer_gain
 from modal.discrepancy.noise.floor import noise_floor
 from modal.discrepancy.programs.black_box import diagnose_callable
 from modal.discrepancy.results import Calibrated, Diagnosis
-from modal.discrepancy.selection.beam import search_effects
-from modal.discrepancy.selection.decision import Decision, decide_nodes
-from modal.discrepancy.selection.form_free import CurveSearch
-from modal.discrepancy.selection.lack_of_fit import only_noise
+from modal.discrepancy.selection.decision import Decision, decide_nodes, search_and_decide
 from modal.discrepancy.selection.screening import Candidate, screen_candidates
 from modal.discrepancy.setup import (
     Progress,
@@ -32,8 +29,6 @@ from modal.discrepancy.setup import (
     roots,
     searched_parts,
     simulated_outputs,
-    with_coloured_floor,
-    with_uncovered_floor,
 )
 from modal.discrepancy.validation.other_hold import by_the_better_hold, cut_into_spans, span_words
 from modal.discrepancy.validation.summary import calibrated_parameters, diagnosis_of, with_cautions, with_findings
@@ -169,12 +164,8 @@ def _searched(setup: Setup, notes: tuple[str, ...], modes: LevelModes | None) ->
         LostMotion: The records are whole, and the motion cannot be followed along them.
     """
     as_given, root = roots(setup)
-    curves = CurveSearch()
-    nodes = search_effects(root, setup.task, curves=curves, settled=only_noise)
     location = locate_gap(setup, root, modes)
-    setup, nodes, as_given = with_coloured_floor(*with_uncovered_floor(setup, nodes, as_given))
-    setup.task.report("deciding", 0.9)
-    decision = decide_nodes(nodes, setup.task, setup.fit, curves)
+    setup, nodes, as_given, decision = search_and_decide(setup, as_given, root)
     return diagnosis_of(setup, as_given, nodes, decision, location=location, notes=notes)
 
 

@@ -152,8 +152,8 @@ class Evidence(Displayed):
     words: str
 
 
-ResidualKind = Literal["displacement", "velocity", "time", "input", "output"]
-"""What a residual depends on."""
+ResidualKind = Literal["displacement", "velocity", "time", "input", "output", "outputs"]
+"""What a residual depends on; "outputs": it is no noise of sensors, because two of them share it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
@@ -188,6 +188,8 @@ def worst_left(tests: Sequence[LackOfFit]) -> LackOfFit | None:
 
 def something(test: LackOfFit) -> str:
     """What is left, in words."""
+    if test.kind == "outputs":
+        return f"something that {test.where} share"
     at = test.where if test.kind in {"input", "output"} else f"at {test.where}"
     return f"something that depends on the {test.kind} {at}"
 

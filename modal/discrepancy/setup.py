@@ -3,10 +3,8 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from modal.discrepancy.fitting.estimation import Estimate, Problem, estimate, simulate_at
 from modal.discrepancy.fitting.nodes import (
@@ -20,7 +18,7 @@ from modal.discrepancy.fitting.nodes import (
     polished,
 )
 from modal.discrepancy.noise.floor import SAME_NUMBER, NoiseFloor, lowered_floor, noise_floor, raised_floor
-from modal.discrepancy.noise.spectral import whitening_filter
+from modal.discrepancy.noise.spectral import colours_of, lead_of_forces, replies, rings, whitening_filter
 from modal.discrepancy.results import worst_left
 from modal.discrepancy.selection.beam import search_effects
 from modal.discrepancy.selection.lack_of_fit import lack_of_fit, only_noise
@@ -33,10 +31,11 @@ from modal.localisation.levels import LevelModes, level_modes
 from modal.localisation.lines import measure_lines
 from modal.simulation.drive import drive_of, steps_per_sample
 from modal.simulation.plant import Plant, plant_matrices
-from modal.simulation.scheme import Budget, Scheme
+from modal.simulation.scheme import Budget
 from modal.simulation.tolerances import AT_FLOOR, FOLLOWED, ROUNDING
 from modal.structure.given import Given, placed_assembly
-from okid.arrays import TINY, BoolArray, FloatArray
+from modal.wording.text import quantity, times_floor_text
+from okid.arrays import TINY, FloatArray
 from okid.errors import InsufficientDataError, InvalidDataError, NumericalError
 from okid.readers.guard import MEMORY_SHARE, memory_budget
 from okid.record import Record
@@ -287,6 +286,7 @@ class Setup:
         held_out: Held-out records.
         floor: Noise floor of both, in this order.
         task: The search's task.
+        said: What the reader must know of the floor.
     """
 
     given: Given
@@ -294,6 +294,7 @@ class Setup:
     held_out: tuple[Record, ...]
     floor: NoiseFloor
     task: Task
+    said: tuple[str, ...] = ()
 
 
 def prepare_setup(
@@ -392,16 +393,46 @@ def with_coloured_floor(setup: Setup, nodes: tuple[Node, ...], as_given: Node) -
         return setup, nodes, as_given
     left = np.concatenate([best.fitted.mean_square, best.held_out.mean_square]) * setup.floor.variance
     higher = raised_floor(setup.floor, np.nan_to_num(left))
+    said = _noise_or_force(best, setup, float(np.max(higher.variance / setup.floor.variance)))
     ratio, n_fit = setup.floor.variance / higher.variance, len(setup.fit)
     found = prepare_setup(
         setup.given, setup.fit, setup.held_out, task.every_effect, task.report, floor=higher, budget=task.budget
     )
     scaled = tuple(on_other_floor(node, ratio[:n_fit], ratio[n_fit:]) for node in nodes)
-    return found, scaled, on_other_floor(as_given, ratio[:n_fit], ratio[n_fit:])
+    return replace(found, said=said), scaled, on_other_floor(as_given, ratio[:n_fit], ratio[n_fit:])
 
 
-RINGS = 0.5
-"""Call a pole ringing below this share of critical damping: noise of a smooth spectrum has none."""
+def _noise_or_force(best: Node, setup: Setup, raised: float) -> tuple[str, ...]:
+    """How large a force nobody measured could be what is taken for noise of the sensors: nothing tells the two apart.
+
+    At each line that force makes up for what is left above the quiet band, where that is more than the band has.
+    """
+    found: dict[str, float] = {}
+    floors = iter(setup.floor.variance)
+    for run, problem in ((best.fitted, setup.task.fit), (best.held_out, setup.task.held_out)):
+        drive = problem.drive
+        if run is None or run.trajectory.outputs.shape != drive.outputs.shape:
+            return ()
+        step = int(drive.rows[1] - drive.rows[0])
+        for record, floor in zip(range(drive.n_records), floors, strict=False):
+            rows = drive.rows_of(record)
+            left = np.where(drive.present, drive.outputs - run.trajectory.outputs, 0.0)[rows]
+            taps = [whitening_filter(one, there)[0] for one, there in zip(left.T, drive.present[rows].T, strict=True)]
+            heard, colours = replies(run.scheme, len(left), step), colours_of(taps, len(left))
+            above = np.where(colours > 2.0 * floor, colours - floor, 0.0).sum(axis=1)
+            for port in run.assembly.plant.ports:
+                reply = heard[:, :, list(port.columns)].sum(axis=(1, 2))
+                size = float(np.sqrt(np.mean(above / np.maximum(reply, TINY))))
+                found[port.name] = max(found.get(port.name, 0.0), size)
+    units = {port.name: port.force_unit for port in setup.given.plant.ports}
+    where = min(found, key=lambda name: found[name], default="")
+    force = f", of {quantity(found[where], units[where])} at {where} or more elsewhere," if where else ""
+    words = (
+        f"what is left, {times_floor_text(raised)} times what the sensors' quiet band says, depends on nothing and is "
+        f"taken for noise of the sensors; a force that nobody measured{force} would look the same: another sensor, "
+        "which shows such a force too and has noise of its own, would tell"
+    )
+    return (words,)
 
 
 def _from_sensors(root: Node, task: Task) -> bool:
@@ -413,7 +444,7 @@ def _from_sensors(root: Node, task: Task) -> bool:
     """
     parts = [(root.fitted, task.fit), (root.held_out, task.held_out)]
     poles = np.linalg.eigvals(root.fitted.scheme.Ad)
-    if not _rings(poles).all() or worst_left(lack_of_fit(root, task, known=len(root.effects))) is not None:
+    if not rings(poles).all() or worst_left(lack_of_fit(root, task, known=len(root.effects))) is not None:
         return False
     lead = np.zeros(root.fitted.scheme.E0.shape[1] + root.fitted.scheme.B0.shape[1])
     for run, problem in parts:
@@ -425,41 +456,10 @@ def _from_sensors(root: Node, task: Task) -> bool:
             rows = drive.rows_of(record)
             left = drive.outputs[rows] - run.trajectory.outputs[rows]
             taps = [whitening_filter(one, np.ones(len(one), dtype=bool))[0] for one in left.T]
-            if any(_rings(np.roots(one)).any() for one in taps):
+            if any(rings(np.roots(one)).any() for one in taps):
                 return False
-            lead += _lead_of_forces(left, taps, root.fitted.scheme, step)
+            lead += lead_of_forces(left, taps, root.fitted.scheme, step)
     return bool(np.max(lead, initial=0.0) <= 0.0)
-
-
-def _lead_of_forces(left: FloatArray, taps: Sequence[FloatArray], scheme: Scheme, step: int) -> FloatArray:
-    """(n_places,) by how much BIC prefers a white force there beside white noise to each output's autoregression.
-
-    By Whittle's likelihood of what is left (n_samples, n_outputs), a scheme's steps `step` a sample.
-    """
-    n = len(left)
-    waves = np.exp(2j * np.pi / n * np.arange(1, (n + 1) // 2))[:, np.newaxis]
-    powers = np.abs(np.fft.fft(left, axis=0)[1 : (n + 1) // 2]) ** 2 / n
-    z = waves[:, :, np.newaxis] ** (1.0 / step)
-    pushes = np.hstack([scheme.E0, scheme.B0]) + z * np.hstack([scheme.E1, scheme.B1])
-    moved = np.linalg.solve(z * np.eye(len(scheme.Ad)) - scheme.Ad, pushes)
-    heard = np.abs(scheme.C @ moved + np.hstack([scheme.G, scheme.D])) ** 2
-    lead = np.zeros(heard.shape[2])
-    for power, tap, reply in zip(powers.T, taps, heard.transpose(1, 0, 2), strict=True):
-        smooth = 1.0 / np.abs(waves ** -np.arange(len(tap)) @ tap) ** 2
-        shares = reply / np.maximum(reply.mean(axis=0), TINY)
-        spectra = 1.0 + np.logspace(-2.0, 4.0, 25)[:, np.newaxis, np.newaxis] * shares
-        spectra *= np.mean(power[:, np.newaxis] / spectra, axis=1, keepdims=True)
-        forced = 2.0 * np.sum(np.log(spectra) + power[:, np.newaxis] / spectra, axis=1).min(axis=0)
-        own = 2.0 * np.sum(np.log(smooth) + power / smooth)
-        lead += own - forced + (len(tap) - 2) * np.log(n)
-    return lead
-
-
-def _rings(poles: npt.NDArray[Any]) -> BoolArray:
-    """Which discrete poles swing up and down lightly damped."""
-    rates = np.log(np.where(poles == 0.0, TINY, poles).astype(complex))
-    swinging = (np.abs(rates.imag) > ROUNDING) & (np.abs(rates.imag) < 0.5 * np.pi)
-    return np.asarray(swinging & (-rates.real < RINGS * np.abs(rates)))
 
 
 def roots(setup: Setup) -> tuple[Node, Node]:
@@ -483,7 +483,7 @@ def roots(setup: Setup) -> tuple[Node, Node]:
 
 def locate_gap(setup: Setup, root: Node, modes: LevelModes | None = None) -> Location:
     """Where the calibrated linear model and the records disagree."""
-    setup.task.report("locating the gap", 0.85)
+    setup.task.report("locating the gap", 0.04)
     gap = measure_gap(setup.fit, simulated_records(setup.fit, root.fitted), setup.floor.variance[: len(setup.fit)])
     return locate(gap, modes=level_modes(setup.fit) if modes is None else modes, lines=measure_lines(setup.fit))
 

@@ -118,6 +118,7 @@ MECHANISMS = (
     Mechanism(says="no firm name for three effects or a bad fit", where=f"{DECISION}:_unproved", off=empty),
     Mechanism(says="no firm name for undetermined shapes", where=f"{DECISION}:_undetermined", off=empty),
     Mechanism(says="no firm name that neighbours fit as well", where=f"{LACK}:undecided_laws", off=empty),
+    Mechanism(says="what two outputs share is no noise", where=f"{LACK}:_in_common", off=empty),
     Mechanism(says="noise of sensors beside nothing", where="modal.discrepancy.setup:_from_sensors", off=false),
     Mechanism(says="no firm name for absurd gains", where=f"{DECISION}:_doubted_gains", off=empty),
     Mechanism(says="no firm name where something is left", where=f"{LACK}:what_is_left", off=nothing_left),

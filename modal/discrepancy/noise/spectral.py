@@ -7,9 +7,12 @@ brings hardly any noise to high frequencies: there the level of the noise falls 
 Noise of another colour than white is made white by a short autoregression (`whitening_filter`).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 
 from modal.discrepancy.noise.quiet_band import (
@@ -20,6 +23,7 @@ from modal.discrepancy.noise.quiet_band import (
     residual_spectrum,
     steady_level,
 )
+from modal.simulation.scheme import Scheme
 from modal.simulation.tolerances import ROUNDING
 from okid.arrays import TINY, BoolArray, FloatArray
 from okid.record import Record
@@ -334,3 +338,71 @@ def whitening_filter(residual: FloatArray, present: BoolArray) -> tuple[FloatArr
     white = filter_by(taps, residual)[valid]
     deviation = float(np.sqrt(np.mean(white**2))) if white.size else 1.0
     return taps / max(deviation, TINY), valid
+
+
+def replies(scheme: Scheme, n: int, step: int) -> FloatArray:
+    """(n_lines, n_outputs, n_forces + n_inputs) squared gains of n samples, `step` steps of the scheme each."""
+    z = _waves(n)[:, :, np.newaxis] ** (1.0 / step)
+    pushes = np.hstack([scheme.E0, scheme.B0]) + z * np.hstack([scheme.E1, scheme.B1])
+    moved = np.linalg.solve(z * np.eye(len(scheme.Ad)) - scheme.Ad, pushes)
+    return np.asarray(np.abs(scheme.C @ moved + np.hstack([scheme.G, scheme.D])) ** 2)
+
+
+def colours_of(taps: Sequence[FloatArray], n: int) -> FloatArray:
+    """(n_lines, n_outputs) spectra of autoregressions, whose mean is the variance."""
+    waves = _waves(n)
+    return np.array([1.0 / np.abs(waves ** -np.arange(len(tap)) @ tap) ** 2 for tap in taps]).T
+
+
+def _waves(n: int) -> npt.NDArray[np.complex128]:
+    """(n_lines, 1) of n samples, but for zero and the last one."""
+    return np.asarray(np.exp(2j * np.pi / n * np.arange(1, (n + 1) // 2))[:, np.newaxis])
+
+
+RINGS = 0.5
+"""Call a pole ringing below this share of critical damping: noise of a smooth spectrum has none."""
+
+
+def lead_of_forces(left: FloatArray, taps: Sequence[FloatArray], scheme: Scheme, step: int) -> FloatArray:
+    """(n_places,) by how much BIC prefers a white force there beside white noise to each output's autoregression.
+
+    By Whittle's likelihood of what is left (n_samples, n_outputs), a scheme's steps `step` a sample.
+    """
+    n = len(left)
+    powers = np.abs(np.fft.fft(left, axis=0)[1 : (n + 1) // 2]) ** 2 / n
+    heard = replies(scheme, n, step)
+    lead = np.zeros(heard.shape[2])
+    outputs = zip(powers.T, taps, heard.transpose(1, 0, 2), colours_of(taps, n).T, strict=True)
+    for power, tap, reply, smooth in outputs:
+        shares = reply / np.maximum(reply.mean(axis=0), TINY)
+        spectra = 1.0 + np.logspace(-2.0, 4.0, 25)[:, np.newaxis, np.newaxis] * shares
+        spectra *= np.mean(power[:, np.newaxis] / spectra, axis=1, keepdims=True)
+        forced = 2.0 * np.sum(np.log(spectra) + power[:, np.newaxis] / spectra, axis=1).min(axis=0)
+        own = 2.0 * np.sum(np.log(smooth) + power / smooth)
+        lead += own - forced + (len(tap) - 2) * np.log(n)
+    return lead
+
+
+def rings(poles: npt.NDArray[Any]) -> BoolArray:
+    """Which discrete poles swing up and down lightly damped."""
+    rates = np.log(np.where(poles == 0.0, TINY, poles).astype(complex))
+    swinging = (np.abs(rates.imag) > ROUNDING) & (np.abs(rates.imag) < 0.5 * np.pi)
+    return np.asarray(swinging & (-rates.real < RINGS * np.abs(rates)))
+
+
+def log_f_tail(ratio: float, above: float, below: float) -> float:
+    """Ln P(F > ratio), by the leading term of the incomplete beta function where that is no number any more."""
+    a, b, x = 0.5 * below, 0.5 * above, below / (below + above * ratio)
+    tail = float(scipy.special.betainc(a, b, x))
+    if tail > TINY:
+        return float(np.log(tail))
+    return float(a * np.log(x) + b * np.log1p(-x) - np.log(a) - scipy.special.betaln(a, b))
+
+
+def log_chi_square_tail(value: float, freedom: float) -> float:
+    """Ln P(chi-square > value), by its leading term where that is no number any more."""
+    tail = float(scipy.special.gammaincc(0.5 * freedom, 0.5 * value))
+    if tail > TINY:
+        return float(np.log(tail))
+    s = 0.5 * freedom
+    return float((s - 1.0) * np.log(0.5 * value) - 0.5 * value - scipy.special.gammaln(s))

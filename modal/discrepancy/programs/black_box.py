@@ -27,17 +27,12 @@ from modal.discrepancy.programs.program import (
 )
 from modal.discrepancy.programs.proof import Proof, Runs, prove, residual_model, unproved, with_start
 from modal.discrepancy.results import Diagnosis, Step
-from modal.discrepancy.selection.beam import search_effects
-from modal.discrepancy.selection.decision import Decision, decide_nodes
-from modal.discrepancy.selection.form_free import CurveSearch
-from modal.discrepancy.selection.lack_of_fit import only_noise
+from modal.discrepancy.selection.decision import Decision, search_and_decide
 from modal.discrepancy.setup import (
     Progress,
     prepare_setup,
     roots,
     simulated_outputs,
-    with_coloured_floor,
-    with_uncovered_floor,
 )
 from modal.discrepancy.validation.summary import diagnosis_of
 from modal.effects.catalogue import effects_at
@@ -247,14 +242,10 @@ def diagnose_callable(
     progress("locating the gap", 0.05)
     along = [one + rest[i] for i, one in zip(to_fit, simulated_outputs(root.fitted, setup.fit), strict=True)]
     location = _located([records[i] for i in to_fit], along, setup.floor)
-    curves = CurveSearch()
-    nodes = search_effects(root, setup.task, curves=curves, settled=only_noise)
-    setup, nodes, as_given = with_coloured_floor(*with_uncovered_floor(setup, nodes, as_given))
+    setup, nodes, as_given, decision = search_and_decide(setup, as_given, root)
     at = {record: row for row, record in enumerate([*to_fit, *to_hold])}
     floor = stacked_floors([(setup.floor, at[i]) if i in at else (floor, i) for i in range(len(records))])
     runs = replace(runs, floor=floor.variance)
-    progress("deciding", 0.9)
-    decision = decide_nodes(nodes, setup.task, setup.fit, curves)
     said = (*notes, *_nonlinear(misses, records, len(fits)))
     found = diagnosis_of(setup, as_given, nodes, decision, location=location, notes=said)
     progress("proving it with the callable itself", 0.95)

@@ -59,7 +59,8 @@ LEAST_SHARE = 0.1
 """Follow a candidate, and a fit, that wins at least this share of what the best one wins."""
 
 CONVINCING, FEWEST = 0.5, 4
-"""Follow so many different effects in any case where the best one takes away less than the first share."""
+"""Follow so many different effects in any case where the best one takes away less than the first share. Go on from a
+model that takes away as much on the records to fit although the held-out record does not show it yet."""
 
 TELLING = 1.5
 """Screen along a weaker gain where its best candidate takes away so many times the share that it does with the whole
@@ -169,9 +170,8 @@ REACH, REACH_SHARP = 10.0, 2.0
 the fits are sharp already."""
 RIVAL = 1.5
 """Follow, once a model explains the data, others whose cost is within this factor of the best."""
-NEARLY, RIVAL_SHARP = 1.5, 1.03
-"""Ask only for this level, and follow only rivals within this factor, where the fits are sharp already: costs compare
-then."""
+RIVAL_SHARP = 1.03
+"""Follow only rivals within this factor where the fits are sharp already: costs compare then."""
 
 
 def expand(node: Node, task: Task) -> list[Node]:
@@ -267,7 +267,7 @@ def _enough(fit: Estimate, finished: dict[int, Node], node: Node, task: Task) ->
 
 
 def _nearly(runs: Sequence[Estimate], node: Node) -> bool:
-    return any(run.level <= (NEARLY if node.effects else AT_FLOOR) for run in runs)
+    return any(run.level <= (NEAR_FLOOR if node.effects else AT_FLOOR) for run in runs)
 
 
 def _free_run(fit: Estimate, task: Task, smoothing: float) -> Estimate | None:
@@ -365,21 +365,12 @@ MOST_EFFECTS = 4
 """Look for at most so many effects."""
 SHARE_OF_ONE = 0.6
 """Spend at most this share of what is left of the budget on effects beside one model."""
-LARGE_FALL = 0.5
-"""Go on from a model that leaves at most this share on the records to fit although the held-out record does not show it
-yet, unless its best sibling leaves less than this share of that."""
-
-
 Curves = Callable[[Node, Node, Task], list[Node]]
 """Models with a law of unknown form beside the first model that leave nothing but noise; the second is the root."""
 
 
-Settled = Callable[[Node, Node, Task], bool]
-"""Whether the first model leaves nothing but noise, however much; the second is the root."""
-
-
 def search_effects(
-    root: Node, task: Task, known: Sequence[Node] = (), *, curves: Curves | None = None, settled: Settled | None = None
+    root: Node, task: Task, known: Sequence[Node] = (), *, curves: Curves | None = None
 ) -> tuple[Node, ...]:
     """All models worth a look, from the calibrated one on.
 
@@ -420,14 +411,15 @@ def search_effects(
                 break
             here = depth + 1 if part.spent else here
         untried = min(untried, here)
-        if settled is not None and not _explain(children) and settled(_lowest(children, root), root, task):
+        if not _explain(children) and only_noise(_lowest(children, root), root, task):
             break
         wanted = depth == 0 and not _explain(children)
         found = curves(root, root, replace(task, reached=_reached(children))) if curves and wanted else []
         everything += found
         task = replace(task, catalogue=_laws_like(found, task))
         front = _distinct([child for child in children if not child.by_record])
-        hopeful = [child for child in hopeful if LARGE_FALL * child.fit_level <= _reached([*children, *hopeful])]
+        reached = _reached([*children, *hopeful])
+        hopeful = [child for child in hopeful if (1.0 - CONVINCING) * child.fit_level <= reached]
         front += _distinct([child for child in hopeful if _new(child, front)])[: BEAM - len(front)]
         front += _distinct([child for child in children if child.by_record and _new(child, front)])[:1]
         if not front:
@@ -477,7 +469,7 @@ def _distinct(children: Sequence[Node]) -> list[Node]:
 
 
 def _hopeful(node: Node, child: Node) -> bool:
-    return bool(np.isfinite(child.held_out_level)) and child.fit_level <= (1.0 - LARGE_FALL) * node.fit_level
+    return bool(np.isfinite(child.held_out_level)) and child.fit_level <= (1.0 - CONVINCING) * node.fit_level
 
 
 def _new(child: Node, front: Sequence[Node]) -> bool:

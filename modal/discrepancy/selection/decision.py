@@ -3,16 +3,6 @@
 `named` needs three things: within 1.5 of the noise floor on held-out data; every effect of the model earns its place
 (without it the held-out mean square rises by a tenth and the likelihood falls); and a lead over every model with
 another effect or place, other than those that by structure cannot be told apart. Anything less is a best guess.
-
-An effect is none in many ways: a brim without a flow over it, a limit that no level reaches. Its distance from none is
-not that of one parameter from its neutral value, but what it does to the outputs. With delta the outputs with it less
-those without it, in deviations of the noise, and J what all else in the model could do instead,
-
-    z^2 = delta' (I - J (J' J + prior)^-1 J') delta
-
-For an effect in proportion to one parameter this is the parameter over its standard deviation (Wald's test), however
-the parameters are chosen; z^2 is what 2 ln L would lose at first order. The effect's own shapes count as what could be
-done instead, its amplitudes do not; of an effect that has none (a delay, a drive's limit) nothing of its own does.
 """
 
 from collections.abc import Sequence
@@ -20,17 +10,11 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import scipy
 
 from modal.discrepancy.fitting.estimation import (
     FAR_ABOVE,
-    Estimate,
     Problem,
     covariance,
-    held_unknowns,
-    score_equations,
-    sensitivity_of,
-    weights_along,
 )
 from modal.discrepancy.fitting.nodes import (
     MOST_ON_FIT,
@@ -44,7 +28,9 @@ from modal.discrepancy.fitting.nodes import (
     log_likelihood_gain,
     needed_masses,
 )
+from modal.discrepancy.fitting.observed_fits import CLEAR
 from modal.discrepancy.results import EVEN, Finding, LackOfFit, LawCurve, masses_text, something, worst_left
+from modal.discrepancy.selection.beam import search_effects
 from modal.discrepancy.selection.form_free import CurveSearch
 from modal.discrepancy.selection.lack_of_fit import SLIGHT, lack_of_fit, undecided_laws, what_is_left
 from modal.discrepancy.selection.smaller_models import (
@@ -52,83 +38,21 @@ from modal.discrepancy.selection.smaller_models import (
     absorbed_gain,
     at_limits,
     has_limit,
-    run_without,
+    sureness,
     without,
 )
-from modal.discrepancy.setup import circumstances_of
+from modal.discrepancy.setup import Setup, circumstances_of, with_coloured_floor, with_uncovered_floor
 from modal.effects.ambiguity import ambiguous_with
 from modal.effects.catalogue import effect_name, effects_at
 from modal.effects.effect import is_form_free
-from modal.simulation.assembly import Assembly, EffectPlacement
+from modal.simulation.assembly import EffectPlacement
 from modal.simulation.scheme import Budget
-from modal.simulation.tolerances import NEAR_FLOOR, SURE
-from modal.simulation.trajectory import Sensitivity
+from modal.simulation.tolerances import AT_FLOOR, NEAR_FLOOR, SURE
 from modal.structure.placed import possible_places
 from modal.wording.text import listed, number, percent, times_floor_text
-from okid.arrays import TINY, BoolArray, FloatArray
+from okid.arrays import TINY, BoolArray
 from okid.display import Displayed
 from okid.record import Record
-
-
-def sureness(node: Node, task: Task) -> list[float]:
-    """How many deviations each effect of a model is from none.
-
-    One number for each effect; infinite where the model without it escapes.
-    """
-    current, problem = node.coarse, task.fit
-    slopes = sensitivity_of(current, problem)
-    gram, _ = score_equations(current, problem, slopes)
-    held = held_unknowns(current)
-    found = []
-    for i in range(len(current.assembly.placements)):
-        change = _change(current, problem, i)
-        if change is None:
-            found.append(np.inf)
-            continue
-        others = np.ones(len(gram), dtype=bool)
-        others[held] = False
-        others[_own(current.assembly, i, problem.drive.n_records)] = False
-        seen = _against(problem, current, slopes, change)[others]
-        left = float(np.sum(change**2)) - float(seen @ _solved(gram[np.ix_(others, others)], seen))
-        found.append(float(np.sqrt(max(left, 0.0) / max(1.0, current.level))))
-    return found
-
-
-def _change(current: Estimate, problem: Problem, placement: int) -> FloatArray | None:
-    """(n_rows, n_outputs) what an effect does to the outputs, all else as it is, in deviations of the noise."""
-    off = run_without(current, placement, problem, smoothing=current.smoothing)
-    if off is None:
-        return None
-    change = (current.trajectory.outputs - off.trajectory.outputs) * weights_along(problem, current.trajectory)
-    return change if np.isfinite(np.sum(change**2)) else None
-
-
-def _own(assembly: Assembly, placement: int, n_records: int) -> list[int]:
-    """Where the amplitudes of an effect stand, or all that it has where it has none."""
-    item, begin = assembly.placements[placement], assembly.common_of(placement).start
-    places = {j: [begin + position] for position, j in enumerate(item.common)}
-    first = assembly.n_common + assembly.local_of(placement).start
-    for position, j in enumerate(item.local):
-        places[j] = [first + position + record * assembly.n_local for record in range(n_records)]
-    kinds = item.effect.parameters
-    found = [at for j in places if kinds[j].role == "amplitude" for at in places[j]]
-    return found or [begin + position for position in range(len(item.common))]
-
-
-def _against(problem: Problem, current: Estimate, slopes: Sensitivity, change: FloatArray) -> FloatArray:
-    """What each unknown's effect on the outputs has in common with a change, in the order of the normal equations."""
-    drive, weights = problem.drive, weights_along(problem, current.trajectory)
-    found = [np.sum(slopes.common * weights * change, axis=(1, 2))]
-    for record in range(drive.n_records):
-        rows = drive.rows_of(record)
-        found.append(np.sum(slopes.local[:, rows] * weights[rows] * change[rows], axis=(1, 2)))
-    return np.concatenate(found)
-
-
-def _solved(gram: FloatArray, right: FloatArray) -> FloatArray:
-    scale = np.sqrt(np.maximum(np.diag(gram), TINY))
-    return np.asarray(scipy.linalg.pinvh(gram / np.outer(scale, scale)) @ (right / scale) / scale)
-
 
 MOST_FIRM = 2
 """Name at most so many effects together without doubt: combinations of more were never proved."""
@@ -172,6 +96,19 @@ class Decision(Displayed):
     notes: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
     laws: tuple[LawCurve, ...] = ()
+
+
+def search_and_decide(setup: Setup, as_given: Node, root: Node) -> tuple[Setup, tuple[Node, ...], Node, Decision]:
+    """Search beside the calibrated model, look at the floor again, and choose.
+
+    Returns:
+        The setup by the floor that the search has shown, the models, the model as given, the decision.
+    """
+    curves = CurveSearch()
+    nodes = search_effects(root, setup.task, curves=curves)
+    setup, nodes, as_given = with_coloured_floor(*with_uncovered_floor(setup, nodes, as_given))
+    setup.task.report("deciding", 0.9)
+    return setup, nodes, as_given, decide_nodes(nodes, setup.task, setup.fit, curves)
 
 
 def decide_nodes(
@@ -307,6 +244,12 @@ def _judged(best: Node, others: Sequence[Node], root: Node, task: Task, fits: Se
             f"the held-out gap is still {times_floor_text(best.held_out_level)} times the noise floor (limit "
             f"{times_floor_text(NEAR_FLOOR)})"
         )
+    elif best.held_out_level > AT_FLOOR and best.held_out_level - 1.0 > CLEAR * (root.held_out_level - 1.0):
+        share = np.sqrt((best.held_out_level - 1.0) / max(root.held_out_level - 1.0, TINY))
+        reasons.append(
+            f"{percent(float(share))} of the held-out gap above the noise is left: noise of another colour, or a force "
+            "that nobody measured"
+        )
     reasons += _unproved(best, root) + _undetermined(best, root, task) + _doubted_gains(best, root) + refused
     reasons += _untried(best, task, most=len(best.effects) - len(root.effects))
     reasons += [] if reasons else undecided_laws(best, task, known=len(root.effects))
@@ -355,6 +298,7 @@ def _only_masses(best: Node, root: Node, nodes: Sequence[Node], task: Task) -> D
         margins=(float("inf"),) * before,
         reasons=tuple(reasons),
         lack_of_fit=tests,
+        notes=(LIKE_NOISE,) if best.held_out_level > AT_FLOOR and not reasons else (),
     )
 
 
@@ -448,7 +392,8 @@ def _nothing(root: Node, task: Task) -> Decision:
     if explained:
         left = (f"no effect that was tried counts, but {words}",) if words else ()
         status: Literal["none", "unresolved"] = "unresolved" if left else "none"
-        return Decision(status=status, node=root, runners=(), margins=(), reasons=left, lack_of_fit=tests)
+        notes = (LIKE_NOISE,) if root.held_out_level > AT_FLOOR and not left else ()
+        return Decision(status=status, node=root, runners=(), margins=(), reasons=left, lack_of_fit=tests, notes=notes)
     reasons = ("no effect that was tried brings the held-out error down by a tenth", *_untried(root, task, most=np.inf))
     if tests:
         reasons = (words or LIKE_NOISE, *reasons)

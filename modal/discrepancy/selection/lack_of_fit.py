@@ -12,9 +12,9 @@ degrees of freedom. With J what the model could adjust and G the group,
 
 Corners and jumps are seen badly by splines; so the correlation that is left in the held-out residual, corrected for the
 parameters' own uncertainty, is tested as a whole. A wire that picks up the drive late leaves it where no motion and no
-smooth change of an input is: the residual is tested against each input at the likeliest of all delays, too. The nearest
-neighbours of a smooth law f(x) are f(x) |x|^e: the one direction f ln|x| sees a sinh in place of a cube where seven
-splines do not.
+smooth change of an input is: the residual is tested against each input at the likeliest of all delays, too. A slow
+force that nobody measured depends on nothing, but two outputs share it. The nearest neighbours of a smooth law f(x) are
+f(x) |x|^e: the one direction f ln|x| sees a sinh in place of a cube where seven splines do not.
 
 With many samples something is always left, so the size counts as well: the force of a group is compared with that of an
 effect by what both do to the outputs, the rest of the model free to make up for them.
@@ -22,12 +22,13 @@ effect by what both do to the outputs, the rest of the model free to make up for
 References:
     Rao, Large sample tests of statistical hypotheses, Math. Proc. Cambridge Phil. Soc. 44, 1948,
     https://doi.org/10.1017/S0305004100023987 (score test); Ljung, Box, On a measure of lack of fit in time series
-    models, Biometrika 65, 1978, https://doi.org/10.1093/biomet/65.2.297; Schwarz 1978 (order of the filter).
+    models, Biometrika 65, 1978, https://doi.org/10.1093/biomet/65.2.297; Schwarz 1978 (order of the filter);
+    Brillinger, Time Series: Data Analysis and Theory, 1981.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, combinations
 
 import numpy as np
 import scipy
@@ -35,7 +36,15 @@ import scipy
 from modal.discrepancy.fitting.estimation import Estimate, Problem
 from modal.discrepancy.fitting.nodes import Node, Task
 from modal.discrepancy.fitting.observed_fits import CLEAR
-from modal.discrepancy.noise.spectral import MOST_ORDER, N_LAGS, filter_by, whitening_filter
+from modal.discrepancy.noise.spectral import (
+    MOST_ORDER,
+    N_LAGS,
+    colours_of,
+    filter_by,
+    log_chi_square_tail,
+    log_f_tail,
+    whitening_filter,
+)
 from modal.discrepancy.results import LackOfFit, ResidualKind, beyond_noise, something, worst_left
 from modal.discrepancy.selection.smaller_models import run_without
 from modal.effects.catalogue import effects_at
@@ -84,23 +93,11 @@ class _Whitened:
         flat = _flat(columns[:, self.rows], self.filters, self.valid)
         return np.asarray(flat - (flat @ self.own) @ self.own.T)
 
-
-def _log_f_tail(ratio: float, above: float, below: float) -> float:
-    """Ln P(F > ratio), by the leading term of the incomplete beta function where that is no number any more."""
-    a, b, x = 0.5 * below, 0.5 * above, below / (below + above * ratio)
-    tail = float(scipy.special.betainc(a, b, x))
-    if tail > TINY:
-        return float(np.log(tail))
-    return float(a * np.log(x) + b * np.log1p(-x) - np.log(a) - scipy.special.betaln(a, b))
-
-
-def _log_chi_square_tail(value: float, freedom: float) -> float:
-    """Ln P(chi-square > value), by its leading term where that is no number any more."""
-    tail = float(scipy.special.gammaincc(0.5 * freedom, 0.5 * value))
-    if tail > TINY:
-        return float(np.log(tail))
-    s = 0.5 * freedom
-    return float((s - 1.0) * np.log(0.5 * value) - 0.5 * value - scipy.special.gammaln(s))
+    def series(self, step: FloatArray) -> FloatArray:
+        """(n_outputs, n_rows) the residual after a step of the common unknowns, zero where the filter lacks a value."""
+        found = np.zeros((len(self.valid), len(self.valid[0])))
+        found[np.array(self.valid)] = self.residual - step @ self.shared
+        return found
 
 
 def _flat(columns: FloatArray, filters: Sequence[FloatArray], valid: Sequence[BoolArray]) -> FloatArray:
@@ -168,7 +165,7 @@ class _Left:
         if not rank or freedom <= 0:
             return 0.0, 0.0, 0
         ratio = (fall / rank) / max((self.squares - fall) / freedom, TINY)
-        return _log_f_tail(ratio, rank, freedom), fall, rank
+        return log_f_tail(ratio, rank, freedom), fall, rank
 
     def weight(self, columns: Sequence[FloatArray], held: Sequence[int]) -> float:
         """Square of one response, the common unknowns but those `held` free to make up for it; 0 where they do."""
@@ -228,7 +225,7 @@ def lack_of_fit(node: Node, task: Task, *, known: int = 0) -> tuple[LackOfFit, .
         log_p, fall, rank = left.tested(responses)
         if rank:
             found.append((kind, where, log_p, fall))
-    found += _correlations(left)
+    found += _correlations(left) + _in_common(left)
     named = min((weight for i in effects if (weight := _effect_weight(left, i)) is not None), default=None)
     outputs = [
         (part, np.where((drive := part.run.trajectory.drive).present, drive.outputs, 0.0)) for part in left.parts
@@ -427,14 +424,9 @@ def _correlations(left: _Left) -> list[tuple[ResidualKind, str, float, float]]:
     for part in left.parts:
         plant, drive = part.run.assembly.plant, part.run.trajectory.drive
         for one in part.records:
-            white = one.residual - left.step @ one.shared
             inputs = drive.sample[drive.rows[one.rows]].T
-            first = 0
-            for output, (taps, valid) in enumerate(zip(one.filters, one.valid, strict=True)):
-                count = int(valid.sum())
-                series = np.zeros(len(valid))
-                series[valid] = white[first : first + count]
-                first += count
+            for output, (taps, series) in enumerate(zip(one.filters, one.series(left.step), strict=True)):
+                count = int(one.valid[output].sum())
                 if count <= 2 * N_LAGS:
                     continue
                 for name, signal in zip(plant.input_names, inputs, strict=True):
@@ -445,9 +437,31 @@ def _correlations(left: _Left) -> list[tuple[ResidualKind, str, float, float]]:
                 sizes = [count - lag for lag in range(1, N_LAGS + 1)]
                 shares = [float(series[lag:] @ series[:-lag]) / total for lag in range(1, N_LAGS + 1)]
                 q = count * (count + 2) * sum(r * r / m for r, m in zip(shares, sizes, strict=True))
-                log_p = _log_chi_square_tail(q, N_LAGS - (len(taps) - 1))
+                log_p = log_chi_square_tail(q, N_LAGS - (len(taps) - 1))
                 found.append(("output", plant.output_names[output], log_p, q))
     return found
+
+
+def _in_common(left: _Left) -> list[tuple[ResidualKind, str, float, float]]:
+    """What two outputs share of what is left of them above the floor (Brillinger 1981, 8.5): noise of sensors does not.
+
+    Each line of the spectrum counts by how much of it is above the floor; a force reaches the two alike in all records.
+    """
+    names = left.parts[0].run.assembly.plant.output_names
+    crosses, sizes = np.zeros((len(names),) * 2, dtype=np.complex128), np.zeros((len(names),) * 2)
+    for part in left.parts:
+        drive = part.run.trajectory.drive
+        rows_of = [drive.rows_of(record) for record in range(drive.n_records)]
+        for one in part.records if len(names) > 1 else ():
+            n = len(one.valid[0])
+            lines = np.fft.fft(one.series(left.step))[:, 1 : (n + 1) // 2] / np.sqrt(n)
+            floor = part.problem.floor[rows_of.index(one.rows)]
+            above = np.sqrt(np.maximum(1.0 - floor[:, np.newaxis] / colours_of(one.filters, n).T, 0.0))
+            crosses += (above * lines) @ (above * lines).conj().T
+            sizes += above**2 @ above.T**2
+    falls = 2.0 * np.abs(crosses) ** 2 / np.maximum(sizes, TINY)
+    pairs = combinations(range(len(names)), 2)
+    return [("outputs", f"{names[i]} and {names[j]}", -0.5 * float(falls[i, j]), float(falls[i, j])) for i, j in pairs]
 
 
 def _late(white: FloatArray, signal: FloatArray) -> tuple[float, float]:

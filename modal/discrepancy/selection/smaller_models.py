@@ -7,6 +7,16 @@ be tried there too.
 A calibration may take up a gain: where any linear force inside a state space is free (`internal_changes`), a wrong gain
 of a sensor or an input is hardly more than another set of such forces, and both explain the records. The model as given
 tells them apart, because with the gain it stays where it was.
+
+An effect is none in many ways: a brim without a flow over it, a limit that no level reaches. Its distance from none is
+not that of one parameter from its neutral value, but what it does to the outputs. With delta the outputs with it less
+those without it, in deviations of the noise, and J what all else in the model could do instead,
+
+    z^2 = delta' (I - J (J' J + prior)^-1 J') delta
+
+For an effect in proportion to one parameter this is the parameter over its standard deviation (Wald's test), however
+the parameters are chosen; z^2 is what 2 ln L would lose at first order. The effect's own shapes count as what could be
+done instead, its amplitudes do not; of an effect that has none (a delay, a drive's limit) nothing of its own does.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,15 +24,33 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
+import scipy
 
-from modal.discrepancy.fitting.estimation import Estimate, Problem, estimate, simulate_at
-from modal.discrepancy.fitting.nodes import SMALLEST_GAIN, Node, Task, fitted_either_way, node_of, polished
+from modal.discrepancy.fitting.estimation import (
+    Estimate,
+    Problem,
+    estimate,
+    held_unknowns,
+    score_equations,
+    sensitivity_of,
+    simulate_at,
+    weights_along,
+)
+from modal.discrepancy.fitting.nodes import (
+    ITERATIONS,
+    SMALLEST_GAIN,
+    Node,
+    Task,
+    fitted_either_way,
+    node_of,
+    polished,
+)
 from modal.effects.catalogue import CATALOGUE
 from modal.simulation.assembly import Assembly, EffectPlacement, Unknowns, place_effect
 from modal.simulation.tolerances import NEAR_FLOOR
-from modal.simulation.trajectory import SHARP
+from modal.simulation.trajectory import SHARP, Sensitivity
 from modal.structure.reciprocity import INTERNAL_FORCE
-from okid.arrays import FloatArray
+from okid.arrays import TINY, FloatArray
 
 ROUGH, CLEARLY = 0.02, (100.0, 30.0, 10.0)
 """Fit a model without an effect that it needs, and judge it, only as far as its cost, after every four iterations,
@@ -130,6 +158,66 @@ def _compared(start: Estimate | None, node: Node, task: Task) -> Node:
     return polished(node_of(estimate(rough, task.fit, iterations=12), task, node.held_out), task)
 
 
+def sureness(node: Node, task: Task) -> list[float]:
+    """How many deviations each effect of a model is from none.
+
+    One number for each effect; infinite where the model without it escapes.
+    """
+    current, problem = node.coarse, task.fit
+    slopes = sensitivity_of(current, problem)
+    gram, _ = score_equations(current, problem, slopes)
+    held = held_unknowns(current)
+    found = []
+    for i in range(len(current.assembly.placements)):
+        change = _change(current, problem, i)
+        if change is None:
+            found.append(np.inf)
+            continue
+        others = np.ones(len(gram), dtype=bool)
+        others[held] = False
+        others[_own(current.assembly, i, problem.drive.n_records)] = False
+        seen = _against(problem, current, slopes, change)[others]
+        left = float(np.sum(change**2)) - float(seen @ _solved(gram[np.ix_(others, others)], seen))
+        found.append(float(np.sqrt(max(left, 0.0) / max(1.0, current.level))))
+    return found
+
+
+def _change(current: Estimate, problem: Problem, placement: int) -> FloatArray | None:
+    """(n_rows, n_outputs) what an effect does to the outputs, all else as it is, in deviations of the noise."""
+    off = run_without(current, placement, problem, smoothing=current.smoothing)
+    if off is None:
+        return None
+    change = (current.trajectory.outputs - off.trajectory.outputs) * weights_along(problem, current.trajectory)
+    return change if np.isfinite(np.sum(change**2)) else None
+
+
+def _own(assembly: Assembly, placement: int, n_records: int) -> list[int]:
+    """Where the amplitudes of an effect stand, or all that it has where it has none."""
+    item, begin = assembly.placements[placement], assembly.common_of(placement).start
+    places = {j: [begin + position] for position, j in enumerate(item.common)}
+    first = assembly.n_common + assembly.local_of(placement).start
+    for position, j in enumerate(item.local):
+        places[j] = [first + position + record * assembly.n_local for record in range(n_records)]
+    kinds = item.effect.parameters
+    found = [at for j in places if kinds[j].role == "amplitude" for at in places[j]]
+    return found or [begin + position for position in range(len(item.common))]
+
+
+def _against(problem: Problem, current: Estimate, slopes: Sensitivity, change: FloatArray) -> FloatArray:
+    """What each unknown's effect on the outputs has in common with a change, in the order of the normal equations."""
+    drive, weights = problem.drive, weights_along(problem, current.trajectory)
+    found = [np.sum(slopes.common * weights * change, axis=(1, 2))]
+    for record in range(drive.n_records):
+        rows = drive.rows_of(record)
+        found.append(np.sum(slopes.local[:, rows] * weights[rows] * change[rows], axis=(1, 2)))
+    return np.concatenate(found)
+
+
+def _solved(gram: FloatArray, right: FloatArray) -> FloatArray:
+    scale = np.sqrt(np.maximum(np.diag(gram), TINY))
+    return np.asarray(scipy.linalg.pinvh(gram / np.outer(scale, scale)) @ (right / scale) / scale)
+
+
 T = TypeVar("T")
 Law = tuple[str, str]
 """An effect's key and its place."""
@@ -157,8 +245,8 @@ def simple_first(items: Sequence[T], law: Callable[[T], Law], near: Callable[[T,
     return ordered
 
 
-ITERATIONS, LONGEST = 20, 60
-"""End the fit that finds a gain after the first, and one to its end after the second number of iterations."""
+LONGEST = 60
+"""End the fit of a gain after so many iterations."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

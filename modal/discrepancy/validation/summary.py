@@ -281,6 +281,7 @@ def diagnosis_of(
         held_out=setup.held_out,
         warnings=(
             *notes,
+            *setup.said,
             *_bound_words(hits),
             *_beyond_words(calibrated, known),
             *_mass_words(calibrated, best),

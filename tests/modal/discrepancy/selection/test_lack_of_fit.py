@@ -1,5 +1,6 @@
 """What a model leaves: seen where a law is wrong, by its motion and place, and not where it is right."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -10,11 +11,12 @@ import scipy
 from engine_records import experiment, held_noise, nominal
 from outside_laws import outside_case
 
+import modal
 import okid
 from modal.discrepancy import CATALOGUE, decide, diagnose
 from modal.discrepancy.results import EVEN, LackOfFit
 from modal.discrepancy.selection.lack_of_fit import what_is_left
-from modal.simulation.tolerances import UNLIKELY
+from modal.simulation.tolerances import AT_FLOOR, UNLIKELY
 
 CUBIC_ALONE = {"cubic_stiffness": CATALOGUE["cubic_stiffness"]}
 
@@ -149,6 +151,47 @@ def test_a_force_whose_ringing_white_noise_hides_is_no_noise_of_a_sensor(width):
         lambda d, v, t: np.interp(t, 0.02 * np.arange(500), force), n_samples=500, seed=3, noise=0.08, dampings=(2.0,)
     )
     found = diagnose(nominal(dampings=(2.2,)), fit, held_out, catalogue=CUBIC_ALONE)
+    assert found.status == "unresolved", found.warnings
+
+
+def slow_force(seed, size):
+    """Far below the resonance; nobody measured it."""
+    window = np.hanning(81)
+    force = np.convolve(np.random.default_rng(seed).standard_normal(660), window, mode="same")[80:-80]
+    return lambda d, v, t: np.interp(t, 0.02 * np.arange(500), size / force.std() * force)
+
+
+def test_nothing_tells_how_large_a_force_one_sensor_cannot_tell_from_its_noise():
+    fit, held_out, *_ = experiment(slow_force(5, 0.1), n_samples=500, seed=5, noise=0.04, dampings=(2.0,))
+    found = diagnose(nominal(dampings=(2.2,)), fit, held_out, catalogue=CUBIC_ALONE)
+    assert found.status == "none", found.warnings
+    (size,) = re.findall(r"a force that nobody measured, of (\S+) N at element_0", " ".join(found.warnings))
+    assert 0.05 < float(size) < 0.15
+
+
+def test_nothing_says_that_more_than_the_noise_is_left():
+    """The force is as quick as the structure: what it leaves is no slow noise, nor seen for what it is."""
+    force = np.convolve(np.random.default_rng(1).standard_normal(520), np.hanning(11), mode="same")[10:-10]
+    force *= 0.03 / force.std()
+    fit, held_out, *_ = experiment(
+        lambda d, v, t: np.interp(t, 0.02 * np.arange(500), force), n_samples=500, seed=1, noise=0.08, dampings=(2.0,)
+    )
+    found = diagnose(nominal(dampings=(2.2,)), fit, held_out, catalogue=CUBIC_ALONE)
+    assert found.steps[-1].held_out_level > AT_FLOOR
+    assert found.status == "unresolved" or any("as noise does" in words for words in found.warnings)
+
+
+def test_what_two_sensors_share_is_no_noise_of_theirs():
+    seed, size = 6, 0.05
+    fit, held_out, *_ = experiment(
+        slow_force(seed, size), n_samples=500, seed=seed, noise=0.03,
+        masses=(1.0,) * 3, stiffnesses=(400.0,) * 3, dampings=(1.0,) * 3,
+    )  # fmt: skip
+    (*fits, held) = (okid.Record(one.inputs, one.outputs[:, [0, 2]], one.dt) for one in (*fit, *held_out))
+    model = modal.StructuralModel.chain(
+        [1.0] * 3, [412.0, 388.0, 400.0], [1.1, 0.9, 1.2], force_dofs=0, sensor_dofs=[0, 2]
+    )
+    found = diagnose(model, fits, held, catalogue=CUBIC_ALONE)
     assert found.status == "unresolved", found.warnings
 
 
