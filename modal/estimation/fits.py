@@ -43,6 +43,18 @@ class ModelRuns:
         return [real.outputs - run.outputs for real, run in zip(self.records, self.simulated, strict=True)]
 
 
+def _predictor_form(model: Realisation) -> ModalForm | None:
+    """The predictor in modal form; a pole that only the rounding of a double one puts on the unit circle is set inside.
+
+    Zeros of a steep filter, the same at every output, are such poles: a double one is known to half of the digits.
+    """
+    predictor = one_step_predictor(model)
+    radius, rounding = np.abs(np.linalg.eigvals(predictor.A)).max(initial=0.0), np.sqrt(np.finfo(np.float64).eps)
+    if 1.0 <= radius <= 1.0 + rounding:
+        predictor = replace(predictor, A=predictor.A * ((1.0 - rounding) / radius))
+    return modal_form(predictor)
+
+
 def model_runs(realisation: Realisation, records: Sequence[Record]) -> ModelRuns:
     """Run the model through every record, initial state and level fitted to all of its rows.
 
@@ -54,7 +66,7 @@ def model_runs(realisation: Realisation, records: Sequence[Record]) -> ModelRuns
     scaling = channel_scaling(records)
     model = scaled_model(realisation, scaling)
     # None, too, where it is unstable, or deadbeat (noise-free data) and so without independent eigenvectors
-    predictor = None if model.K is None else modal_form(one_step_predictor(model))
+    predictor = None if model.K is None else _predictor_form(model)
     runner = modal_form(model) if records[0].n_inputs else predictor
     if runner is None:
         raise NumericalError(

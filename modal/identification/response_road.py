@@ -124,7 +124,7 @@ class _Found:
     @property
     def weighed(self) -> float:
         """Logarithm of the likelihood less ln N / 2 a parameter: windows need not have as many poles (Schwarz)."""
-        return self.likelihood - 0.5 * self.fit.n_parameters * float(np.log(2 * int(self.table.known.sum())))
+        return self.likelihood - 0.5 * self.fit.n_parameters * float(np.log(2 * self.table.known.sum()))
 
 
 def identify_response(
@@ -291,9 +291,8 @@ def _realisations(
         n_known, n_given = int(table.known.sum()), int(np.isfinite(response.response).sum())
         if n_known < n_given / 2:
             raise InsufficientDataError(
-                f"coherence is no greater than chance gives at {n_given - n_known} of {n_given} values, so what they "
-                "hold does not follow the inputs; give a table of inputs that move the outputs, or leave coherence out "
-                "if it is wrong."
+                f"coherence is no greater than chance gives at {n_given - n_known} of {n_given} values: they do not "
+                "follow the inputs; give a table of inputs that move the outputs, or leave out a wrong coherence."
             )
         raise InsufficientDataError(f"the table holds {n_known} values, too few for any model; give more lines.")
     markov = pulse_response(on_grid, dt=None if grid[0] == 0 else dt)
@@ -417,8 +416,7 @@ def _moved(modes: ModalModel, found: _Found) -> ModalModel:
     if found.fit is found.under_white:
         return modes
     own = extract_modes(realised(found.fit, found.table))
-    before, after = (np.log(fit.poles) / found.table.dt for fit in (found.under_white, found.fit))
-    moved = []
+    (before, after), moved = (np.log(fit.poles) / found.table.dt for fit in (found.under_white, found.fit)), []
     for mode in modes.modes:
         pole = after[int(np.abs(before - mode.pole).argmin())]
         there = min(own.modes, key=lambda each: abs(each.pole - pole))

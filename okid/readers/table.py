@@ -292,28 +292,26 @@ def _seconds_of_stamps(stamps: FloatArray, name: str) -> float:
     return 1.0
 
 
-def _check_whole_stamps(table: Table, *, slow: float = 0.1) -> None:
-    """Warn where numbers taken for seconds may count milliseconds (steps from `slow` on), or then give dates."""
+def _check_whole_stamps(table: Table) -> None:
+    """Warn where whole numbers taken for seconds may count milliseconds, or give dates as such under another header."""
     index = table.time_column()
     if index is None:
         return
     column, stamps = table.columns[index], np.asarray(table.values[:, index])
     unit, name = _time_name(column)[1], _plain(column.name)
     conversion = convert_unit("time", unit)
-    whole = np.allclose(stamps, np.rint(stamps), rtol=1e-12, atol=0.0)
-    if (conversion.factor if conversion.unit else 1.0) != 1.0 or (unit and not whole):
+    if (conversion.factor if conversion.unit else 1.0) != 1.0 or not np.array_equal(stamps, np.rint(stamps)):
         return
     date = _seconds_of_stamps(stamps, name)
     known = date >= 1.0 if unit else name.startswith("sec") or date != 1.0
-    step = (stamps[-1] - stamps[0]) / max(1, len(stamps) - 1)
-    if known or step < (1.0 if whole else slow):
+    if known or stamps[-1] - stamps[0] < len(stamps) - 1:
         return
     said = f"is in {unit}" if unit else "has no unit"
     if date < 1.0:
         meant = {1e-3: "milliseconds", 1e-6: "microseconds", 1e-9: "nanoseconds"}[date]
         doubt = f"but as seconds its numbers give no date of this century, as {meant} since 1970 they do"
     else:
-        doubt = f"and counts in {'whole numbers' if whole else f'steps of {step:.4g}'}, which were taken for seconds"
+        doubt = "and counts in whole numbers, which were taken for seconds"
     warnings.warn(
         f"the time column {column.name!r} of {table.path.name} {said} {doubt}; write the unit into its header, as in "
         "'time [ms]', or give the time step (--dt).",

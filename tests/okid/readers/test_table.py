@@ -236,14 +236,6 @@ def test_whole_numbers_without_a_unit_are_taken_for_seconds_and_it_is_said(tmp_p
     assert read_record(tmp_path / "a.csv").dt == step
 
 
-@pytest.mark.parametrize("step", [0.5, 5.000000000000001])
-def test_a_slow_step_without_a_unit_is_said_to_be_in_seconds(tmp_path, step):
-    rows = "".join(f"{step * k!r},{k % 7}\n" for k in range(N_SAMPLES))
-    (tmp_path / "a.csv").write_text(f"Time,y\n{rows}")
-    with pytest.warns(IdentificationWarning, match=r"'Time' of a.csv has no unit .* taken for seconds.*--dt"):
-        read_record(tmp_path / "a.csv")
-
-
 @pytest.mark.parametrize(("thousand", "unit"), [(1e3, "milliseconds"), (1e6, "microseconds")])
 def test_stamps_in_seconds_that_are_dates_of_today_in_less_are_named(tmp_path, thousand, unit):
     """A day of 2026 in milliseconds, under a header that says seconds, would be a day of the year 57 000."""
