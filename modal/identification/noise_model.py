@@ -186,8 +186,8 @@ def _keeps_promise(model: Realisation, records: Sequence[Record], promised: floa
 def _follows_inputs(step: RefinementStep, data: OutputError) -> bool:
     """Whether errors follow the inputs of their sample or of those before it: what makes the noise does not.
 
-    How much a free run explains says less: where forces that nobody measured ring on from block to block, held-out rows
-    promise more than the true system explains.
+    How much a free run explains says less (`PROMISED_SHARE`): where forces that nobody measured ring on from block to
+    block, held-out rows promise more than the true system explains.
     """
     errors = centred(errors_of(step, data))
     root = whiteness(errors, n_lags=WHITENESS_LAGS, n_fitted=0).inverse_root
