@@ -290,7 +290,7 @@ def _refined_in_white(
     )
     if refined is None or not _keeps_promise(refined.realisation, white, trial):
         return None
-    model = _with_noise(white, fitted, cut, refined, promised=1.0 - trial.error, progress=progress)
+    model = _with_noise(white, fitted, cut, refined, progress=progress)
     gain = estimate_gain(model.realisation, records)  # innovations are those of the filtered records, their gain is not
     return replace(
         model,
@@ -438,7 +438,6 @@ def _refined(
         fitted,
         model,
         refined,
-        promised=1.0 - trial.error,
         n_rest=n_rest,
         feedback=feedback,
         order_given=order_given,
@@ -457,7 +456,6 @@ def _with_noise(
     model: Realisation,
     refined: RefinedModel | None,
     *,
-    promised: float,
     n_rest: int = 0,
     feedback: bool = False,
     order_given: bool = False,
@@ -480,7 +478,6 @@ def _with_noise(
         records,
         base,
         evidence=evidence,
-        promised=promised,
         feedback=found == "biasing",
         order_given=order_given,
         progress=progress,

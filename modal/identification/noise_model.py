@@ -18,7 +18,7 @@ import scipy
 
 from era.realisation import Realisation
 from modal.estimation.cross_validation import scaled_model, scaled_record
-from modal.estimation.fits import fit_of, model_runs
+from modal.estimation.fits import model_runs
 from modal.estimation.free_run import can_be_foretold
 from modal.estimation.modal_parameters import errors_of, in_data_states, starting_parameters
 from modal.estimation.modal_states import blocks_of
@@ -38,7 +38,10 @@ from modal.estimation.prediction_error import (
     share_of,
 )
 from modal.identification.order_search import MODEL_ORDERS
+from modal.modes.extraction import extract_modes
 from modal.modes.modal_form import ModalBasis, modal_basis
+from modal.verdict.constancy import drifting_modes
+from modal.wording.text import hertz
 from okid.arrays import BoolArray, FloatArray
 from okid.errors import NumericalError
 from okid.record import Record
@@ -49,10 +52,6 @@ ROUNDED = 1e-9
 """Take a share of a unit participation for rounding below this."""
 WHITE_AT = 1e-3
 """Call errors white where the portmanteau test of white ones gives more as often: one record in a thousand is lost."""
-PROMISED_SHARE = 0.8
-"""Take no model that explains less of the power in a free run than this share of what held-out rows promised. Forces
-that nobody measured ring on into those rows, which cost the true system 8 %, where a stiffness that drifts cost 25 and
-55 % (`noise_families` hidden 61001, `hard_records` drifting_stiffness 2 and 3)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -92,7 +91,6 @@ def noise_model(
     start: Realisation,
     *,
     evidence: Realisation,
-    promised: float = 0.0,
     feedback: bool = False,
     order_given: bool = False,
     progress: Callable[[float], None] = lambda _share: None,
@@ -103,15 +101,15 @@ def noise_model(
         records: as identified from; those with fewer rows than a predictor has channels are left out.
         start: the model with a gain, in their units.
         evidence: whose Hankel factors the result keeps.
-        promised: fit of the free run on held-out rows, 0 where they promise nothing.
         feedback: the outputs are fed back into the inputs, so that output error is not offered.
         order_given: without inputs too, keep the number of states.
         progress: called with the share that is behind at most, before each step.
     """
     why_not = _why_not_foretold(records)
+    records = [record for record in records if can_be_foretold(record)]
+    why_not = why_not or ("" if feedback else _why_not_steady(start, records))
     if why_not:
         return None, why_not
-    records = [record for record in records if can_be_foretold(record)]
     scaling = channel_scaling(records)
     scaled = tuple(scaled_record(record, scaling) for record in records)
     rows = tuple(record.complete_rows() for record in records)
@@ -136,16 +134,12 @@ def noise_model(
         fit, ratio = _apart(fit, ratio, start.order, data, start.dt)
     whole = innovation_form(fit.step, start.dt)
     system = _system_part(whole, start.order) if start.n_inputs else whole
-    realisation = in_data_states(system, evidence, scaling)
-    kept = feedback or not start.n_inputs or _keeps_promise(realisation, records, promised)
-    if not kept or np.abs(np.linalg.eigvals(system.A)).max(initial=0.0) >= 1.0 or _follows_inputs(fit.step, data):
-        why = "is not stable, or its errors still follow the inputs"
-        why = why if kept else "explains less in a free run than held-out rows promised"
-        return None, f"the likeliest predictor {why}"
+    if np.abs(np.linalg.eigvals(system.A)).max(initial=0.0) >= 1.0 or _follows_inputs(fit.step, data):
+        return None, "the likeliest predictor is not stable, or its errors still follow the inputs"
     model = NoiseModel(
         fit=fit,
         whole=whole,
-        realisation=realisation,
+        realisation=in_data_states(system, evidence, scaling),
         scaling=scaling,
         n_noise=whole.order - system.order,
         whiteness_ratio=ratio,
@@ -164,6 +158,23 @@ def _why_not_foretold(records: Sequence[Record]) -> str:
     return "" if any(map(can_be_foretold, records)) else "no record has as many rows as a predictor has channels"
 
 
+def _why_not_steady(model: Realisation, records: Sequence[Record]) -> str:
+    """In words, that a mode changes during the records; nothing where none does, or nothing drives it that is known.
+
+    What a drift leaves is as likely as noise, and states of the noise make two modes of one that drifts, or move it.
+    """
+    if not model.n_inputs:
+        return ""
+    try:
+        runs = model_runs(replace(model, K=None), records)
+    except NumericalError:
+        return ""
+    scale = channel_scaling(records).output_scale
+    drifting = drifting_modes(extract_modes(model).modes, runs.records, runs.left, output_scale=scale)
+    where = ", ".join(hertz(mode.frequency) for mode in drifting)
+    return f"what is at {where} Hz changes during the record, and what that leaves is no noise" if drifting else ""
+
+
 def _least_criterion(reference: LikeliestFit, model: Realisation, data: OutputError) -> float:
     """What the model as a predictor may reach, from its score, where output error leaves white errors; else no bound.
 
@@ -173,21 +184,11 @@ def _least_criterion(reference: LikeliestFit, model: Realisation, data: OutputEr
     return -np.inf if step is None else promised_criterion(step, data, Sections())
 
 
-def _keeps_promise(model: Realisation, records: Sequence[Record], promised: float) -> bool:
-    """Whether its free run explains of the power what held-out rows promised, but for what rang on into those rows."""
-    try:
-        runs = model_runs(replace(model, K=None), records)
-    except NumericalError:
-        return False
-    explained, wanted = (1.0 - (1.0 - fit) ** 2 for fit in (np.nanmean(fit_of(runs.records, runs.simulated)), promised))
-    return bool(wanted <= 0.0 or explained >= PROMISED_SHARE * wanted)
-
-
 def _follows_inputs(step: RefinementStep, data: OutputError) -> bool:
     """Whether errors follow the inputs of their sample or of those before it: what makes the noise does not.
 
-    How much a free run explains says less (`PROMISED_SHARE`): where forces that nobody measured ring on from block to
-    block, held-out rows promise more than the true system explains.
+    How much a free run explains says less: where forces that nobody measured ring on from block to block, held-out rows
+    promise more than the true system explains, and states of the noise that follow a drift keep what they promise.
     """
     errors = centred(errors_of(step, data))
     root = whiteness(errors, n_lags=WHITENESS_LAGS, n_fitted=0).inverse_root

@@ -7,11 +7,15 @@ with T the derivative of the mode's answer to the inputs by decay rate and angul
 
 is the change of that pole there (one Gauss-Newton step). A line through the changes of all blocks, over time or over
 the logarithm of the mode's level, is beyond chance when its slope exceeds what the scatter of the blocks about it
-explains, whatever the colour of the noise.
+explains, whatever the colour of the noise. Few blocks may hold a mode (a sweep passes it once): how sure their scatter
+is counts what each of them weighs.
 
 What rings down and is not quite linear shows products of its modes, x_i x_j and x_i x_j x_k or their conjugates: these
 ring down as well, with the sums of the poles for poles (Rugh, Nonlinear System Theory, 1981, section 3.2). One record
 fits them as well as modes, and so does every part of it.
+
+References:
+    Bell, McCaffrey, Survey Methodology 28(2), 2002, 169-181 (bias and freedom of the scatter of few unequal clusters).
 """
 
 from collections.abc import Sequence
@@ -25,13 +29,13 @@ from era.state_recursion import PoleRecursion
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel, Mode
 from modal.wording.text import hertz, percent
-from okid.arrays import FloatArray
+from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
 
 N_BLOCKS = 20
 """Cut all records together into about so many blocks: enough to tell their own scatter."""
-CHANCE = 1e-4
-"""Believe in a slope that chance makes with this probability: a record has some tens to look at."""
+CHANCE = 2e-3
+"""Believe in a slope where chance makes as steep a one in this share of records, however many slopes each has."""
 NOTABLE = 0.1
 """Speak of a change of the pole by this share of its decay rate: the spread at which damping is not to be quoted."""
 LEAST_DECAYS = 1.0
@@ -40,6 +44,9 @@ UNSTEADY = 3.0
 """Say that what drives a record without inputs is not steady where a tenth of it has so many times the rms of another:
 wind and traffic stay within it, and chance does over a hundred samples."""
 
+LEAST_LEFT = 1e-6
+"""Take what a line leaves of a block for nothing below this share: the block alone has drawn the line."""
+IN_TIME = "during the record"
 QUARTILES = (0.25, 0.75)
 """Compare the mode where time or level are at these quantiles of the blocks."""
 
@@ -55,6 +62,41 @@ DECADES = 2.0
 """Expect a decay rate anywhere within so many decades."""
 
 
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Look:
+    """A line through the changes of one mode: (2, 2) its ends by decay rate and frequency; (2,) t and chance of both.
+
+    `how` and `groups` say over what, and what its ends are.
+    """
+
+    mode: Mode
+    how: str
+    groups: tuple[str, str]
+    ends: FloatArray
+    t: FloatArray
+    chance: FloatArray
+
+    def notable(self, n_looks: int) -> BoolArray:
+        """(2,) whether decay rate and frequency change notably, and beyond chance for so many lines."""
+        beyond = self.chance < CHANCE / (2 * n_looks)
+        return np.asarray(beyond & (np.abs(np.diff(self.ends, axis=0)[0]) > -NOTABLE * self.mode.pole.real))
+
+
+def drifting_modes(
+    modes: Sequence[Mode], records: Sequence[Record], left: Sequence[FloatArray], *, output_scale: FloatArray
+) -> tuple[Mode, ...]:
+    """Modes that change during the records, beyond chance and notably.
+
+    Args:
+        modes: of the model that ran.
+        records: with inputs, that it ran through; missing inputs count as zero.
+        left: (n_samples, n_outputs) a record, NaN where an output is missing.
+        output_scale: (n_outputs,) sizes of the outputs.
+    """
+    looks = [look for look in _looks(modes, records, left, output_scale) if look.how == IN_TIME]
+    return tuple(look.mode for look in looks if look.notable(len(looks)).any())
+
+
 def changing_modes(
     model: ModalModel, records: Sequence[Record], left: Sequence[FloatArray], *, output_scale: FloatArray
 ) -> tuple[str, ...]:
@@ -68,23 +110,31 @@ def changing_modes(
     """
     if not records[0].n_inputs:
         return ()
-    poles, _ = discrete_poles(model.modes, model.dt)
+    looks = _looks(model.system, records, left, output_scale)
+    return tuple(words for look in looks for words in _sentence(look, look.notable(len(looks))))
+
+
+def _looks(
+    modes: Sequence[Mode], records: Sequence[Record], left: Sequence[FloatArray], output_scale: FloatArray
+) -> list[_Look]:
+    poles, _ = discrete_poles(modes, records[0].dt)
     length = max(1, sum(record.n_samples for record in records) // N_BLOCKS)
-    words = []
-    for mode, pole in zip(model.modes, poles, strict=True):
-        decays = -mode.pole.real * length * model.dt
-        if mode.verdict == "system" and mode.kind == "oscillatory" and decays >= LEAST_DECAYS:
+    looks = []
+    for mode, pole in zip(modes, poles, strict=True):
+        decays = -mode.pole.real * length * records[0].dt
+        if mode.kind == "oscillatory" and decays >= LEAST_DECAYS:
             blocks = _blocks(mode, complex(pole), (records, left), output_scale, length)
             if len(blocks.level) < 8:  # too few for a trend
                 continue
             level = np.log(np.maximum(blocks.level, np.finfo(float).tiny))
-            for over, when, ends in (
-                (np.arange(level.size, dtype=np.float64), "during the record", ("early", "late")),
+            for over, how, groups in (
+                (np.arange(level.size, dtype=np.float64), IN_TIME, ("early", "late")),
                 (level, "with the level of motion", ("where it is low", "where it is high")),
             ):
                 if np.diff(np.quantile(over, QUARTILES))[0] > 0.0:  # else it is at rest in most blocks
-                    words += _sentence(mode, when, ends, _ends(blocks, over))
-    return tuple(words)
+                    ends, t, chance = _ends(blocks, over)
+                    looks.append(_Look(mode=mode, how=how, groups=groups, ends=ends, t=t, chance=chance))
+    return looks
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -128,41 +178,61 @@ def _blocks(
 def _ends(blocks: _Blocks, over: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Changes at the lower and upper quartile of `over`, by weighted least squares, and how sure their slope is.
 
+    With x = P^(-1/2) s of the scores s and products P of a block, the line leaves e, of covariance (I - H) per unit of
+    noise; each block's own e is divided by (I - H)^(1/2), so that one that draws the line to itself is no surer for it,
+    and the freedom of the sum of their squares is that of its first two moments. A sweep passes a mode in two blocks of
+    twenty: through these there is a line, and no freedom.
+
     Returns:
         (2, 2) quartile by decay rate and angular frequency; (2,) t of the slopes; (2,) their chance.
     """
     low, high = np.quantile(over, QUARTILES)
     x = (over - low) / (high - low)  # 0 and 1 there
+    values, vectors = np.linalg.eigh(blocks.products)
+    size = np.sqrt(np.maximum(values, 0.0))
+    told = size > np.sqrt(np.finfo(float).eps) * size.max()  # a mode at rest tells nothing
     basis = np.stack([np.ones_like(x), x], axis=1)
-    whole = np.einsum("ba,bc,bij->aicj", basis, basis, blocks.products).reshape(4, 4)
-    inverse = np.linalg.pinv(whole, hermitian=True)
-    found = (inverse @ np.einsum("ba,bi->ai", basis, blocks.scores).reshape(4)).reshape(2, 2)
-    scatter = blocks.scores - np.einsum("bij,bj->bi", blocks.products, basis @ found)
-    spread = np.einsum("ba,bi->bai", basis, scatter).reshape(-1, 4)
-    freedom = len(x) - 2
-    variance = np.diag(inverse @ spread.T @ spread @ inverse)[2:] * len(x) / freedom
-    t = found[1] / np.sqrt(np.maximum(variance, np.finfo(float).tiny))
-    return np.stack([found[0], found[0] + found[1]]), t, 2.0 * scipy.special.stdtr(freedom, -np.abs(t))
+    rows = np.einsum("bi,ba,bji->biaj", size * told, basis, vectors).reshape(-1, 4)
+    seen = np.einsum("bi,bji,bj->bi", np.where(told, 1.0 / np.where(told, size, 1.0), 0.0), vectors, blocks.scores)
+    inverse = np.linalg.pinv(rows.T @ rows, hermitian=True)
+    found = inverse @ rows.T @ seen.ravel()
+    kept = np.eye(len(rows)) - rows @ inverse @ rows.T
+    left = (kept @ seen.ravel()).reshape(-1, 2)
+    own, directions = np.linalg.eigh(np.stack([kept[k : k + 2, k : k + 2] for k in range(0, len(rows), 2)]))
+    t, chance = np.zeros(2), np.ones(2)
+    for i in range(2):
+        pull = (rows @ inverse[:, 2 + i]).reshape(-1, 2)
+        along = np.einsum("bij,bi->bj", directions, pull)
+        if (np.abs(along[own < LEAST_LEFT]) > LEAST_LEFT * np.abs(along).max()).any():
+            continue
+        fair = np.einsum("bij,bj->bi", directions, along / np.sqrt(np.maximum(own, LEAST_LEFT)))
+        each = np.zeros((len(rows), len(fair)))
+        for k, weights in enumerate(fair):
+            each[:, k] = kept[:, 2 * k : 2 * k + 2] @ weights
+        variance = float(np.sum(np.einsum("bi,bi->b", fair, left) ** 2))
+        moments = each.T @ each
+        freedom = np.trace(moments) ** 2 / max(float(np.sum(moments**2)), np.finfo(float).tiny)
+        t[i] = found[2 + i] / np.sqrt(max(variance, np.finfo(float).tiny))
+        chance[i] = 2.0 * scipy.special.stdtr(freedom, -abs(t[i]))
+    return np.stack([found[:2], found[:2] + found[2:]]), t, chance
 
 
-def _sentence(
-    mode: Mode, how: str, groups: tuple[str, str], found: tuple[FloatArray, FloatArray, FloatArray]
-) -> list[str]:
-    deltas, t, chance = found
+def _sentence(look: _Look, notable: BoolArray) -> list[str]:
+    mode, t = look.mode, look.t
     decay, angular = -mode.pole.real, abs(mode.pole)
     shown = []
-    if chance[1] < CHANCE and abs(deltas[1, 1] - deltas[0, 1]) > NOTABLE * decay:
+    if notable[1]:
         values = [f"{hertz(mode.frequency + delta / (2 * np.pi))} Hz {group}" for delta, group in
-                  zip(deltas[:, 1], groups, strict=True)]  # fmt: skip
+                  zip(look.ends[:, 1], look.groups, strict=True)]  # fmt: skip
         shown.append(f"{values[0]}, {values[1]} ({abs(t[1]):.1f} standard deviations apart)")
-    if chance[0] < CHANCE and abs(deltas[1, 0] - deltas[0, 0]) > NOTABLE * decay:
+    if notable[0]:
         values = [f"{percent(max(0.0, (decay - delta) / angular))} damping {group}" for delta, group in
-                  zip(deltas[:, 0], groups, strict=True)]  # fmt: skip
+                  zip(look.ends[:, 0], look.groups, strict=True)]  # fmt: skip
         shown.append(f"{values[0]}, {values[1]} ({abs(t[0]):.1f} standard deviations apart)")
     if not shown:
         return []
     sentence = (
-        f"The mode at {hertz(mode.frequency)} Hz changes {how}: about {'; '.join(shown)}. One linear model is an "
+        f"The mode at {hertz(mode.frequency)} Hz changes {look.how}: about {'; '.join(shown)}. One linear model is an "
         "average of these; `modal-report gap` tells friction, gaps and changing stiffness apart."
     )
     return [sentence]

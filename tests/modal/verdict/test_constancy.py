@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 from hard_records import FAMILIES
-from scipy.signal import lfilter
+from scipy.signal import dlsim, lfilter
+from systems import random_system
 
 from modal.identification.pipeline import identify
 from modal.verdict.constancy import unsteady_drive
@@ -31,6 +32,36 @@ def test_a_stiffness_that_falls_or_rises_is_said_so():
     (warning,) = warnings_of("drifting_stiffness", 0)
     early, late = (float(part.split(" Hz")[0].split()[-1]) for part in warning.split("about ")[1].split(", ")[:2])
     assert 0.0 < late - early < 0.03 * 8.0
+
+
+@pytest.mark.parametrize("seed", [100, 106, 112])
+def test_a_mode_that_drifts_is_one_mode_and_no_noise(seed):
+    """States of the noise had made it doubtful, at 7.96 Hz, without a word, or two modes, 7.95 and 8.07 or 8.1 Hz."""
+    made = FAMILIES["drifting_stiffness"](seed)
+    result = identify(Record(made.inputs, made.outputs, made.dt))
+    (mode,) = result.modes.system
+    assert abs(mode.frequency - 8.0) < 0.01 * 8.0
+    assert [words for words in result.warnings if "changes during the record" in words]
+    (reason,) = (choice.reason for choice in result.choices if choice.what == "noise")
+    assert "changes during the record" in reason
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_sweep_passes_a_mode_once_and_tells_no_change(seed):
+    """Two or three blocks of twenty hold a mode: a line goes through them, and their scatter had seemed sure."""
+    rng = np.random.default_rng([seed, 777])
+    system = random_system(
+        rng, n_modes=3, n_inputs=2, n_outputs=3, close_pair=None, weak_mode=None, damping_range=(0.005, 0.03)
+    )
+    n = 6000
+    t = np.arange(n) / n
+    swept = np.sin(2 * np.pi * (0.002 * t + 0.225 * t**2) * n)
+    hidden = 0.3 * rng.standard_normal(n)
+    y = dlsim((system.A, system.B, system.C, system.D, system.dt), np.column_stack([swept, hidden]))[1]
+    y += 0.02 * y.std(axis=0) * rng.standard_normal(y.shape)
+    result = identify(Record(swept, y, system.dt), kind="driven")
+    assert len(result.modes.system) >= 2
+    assert not [words for words in result.warnings if "changes" in words]
 
 
 def test_a_mode_at_rest_in_most_of_the_record_has_no_level_to_change_with():
