@@ -152,8 +152,8 @@ class Evidence(Displayed):
     words: str
 
 
-ResidualKind = Literal["displacement", "velocity", "time", "input", "output", "outputs"]
-"""What a residual depends on; "outputs": it is no noise of sensors, because two of them share it."""
+ResidualKind = Literal["displacement", "velocity", "time", "input", "output", "past", "outputs"]
+"""What a residual depends on; "past": on that of the same output before; "outputs": on that of another output."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
@@ -189,9 +189,17 @@ def worst_left(tests: Sequence[LackOfFit]) -> LackOfFit | None:
 def something(test: LackOfFit) -> str:
     """What is left, in words."""
     if test.kind == "outputs":
-        return f"something that {test.where} share"
+        return f"something that {test.where} share, as a force that nobody measured or a common cable makes it,"
+    if test.kind == "past":
+        return f"something of {test.where} that follows its own past, as a force that nobody measured or hum does,"
     at = test.where if test.kind in {"input", "output"} else f"at {test.where}"
     return f"something that depends on the {test.kind} {at}"
+
+
+def left_over(test: LackOfFit) -> str:
+    """The same with its size; but the filter that makes noise white takes most of what no law describes."""
+    size = "" if test.kind in {"past", "outputs"} else f", {percent(test.size)} of the outputs"
+    return f"{something(test)} is left{size}"
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)

@@ -426,7 +426,8 @@ def _noise_or_force(best: Node, setup: Setup, raised: float) -> tuple[str, ...]:
                 found[port.name] = max(found.get(port.name, 0.0), size)
     units = {port.name: port.force_unit for port in setup.given.plant.ports}
     where = min(found, key=lambda name: found[name], default="")
-    force = f", of {quantity(found[where], units[where])} at {where} or more elsewhere," if where else ""
+    sized = where and found[where] > 0.0  # no line may stand out of the band by itself
+    force = f", of {quantity(found[where], units[where])} at {where} or more elsewhere," if sized else ""
     words = (
         f"what is left, {times_floor_text(raised)} times what the sensors' quiet band says, depends on nothing and is "
         f"taken for noise of the sensors; a force that nobody measured{force} would look the same: another sensor, "

@@ -438,7 +438,7 @@ def _correlations(left: _Left) -> list[tuple[ResidualKind, str, float, float]]:
                 shares = [float(series[lag:] @ series[:-lag]) / total for lag in range(1, N_LAGS + 1)]
                 q = count * (count + 2) * sum(r * r / m for r, m in zip(shares, sizes, strict=True))
                 log_p = log_chi_square_tail(q, N_LAGS - (len(taps) - 1))
-                found.append(("output", plant.output_names[output], log_p, q))
+                found.append(("past", plant.output_names[output], log_p, q))
     return found
 
 
@@ -578,8 +578,14 @@ def what_is_left(tests: Sequence[LackOfFit], best: Node, root: Node) -> tuple[li
     left = [one for one in beyond_noise(tests) if one.share > SLIGHT]
     for one in left:
         if one.share > MUCH or any(_same_motion(one, item) for item in found):
-            return [f"{something(one)} is left, {_how_much(one, found)}: the law is another one, or has company"], []
-    return [], [f"besides, {something(one)} is left, {_how_much(one, found)}" for one in left[:1]]
+            whole = "" if one.kind in {"past", "outputs"} else ": the law is another one, or has company"
+            return [_left_beside(one, found) + whole], []
+    return [], [f"besides, {_left_beside(one, found)}" for one in left[:1]]
+
+
+def _left_beside(test: LackOfFit, found: Sequence[EffectPlacement]) -> str:
+    how_much = "" if test.kind in {"past", "outputs"} else f", {_how_much(test, found)}"
+    return f"{something(test)} is left{how_much}"
 
 
 def _how_much(test: LackOfFit, found: Sequence[EffectPlacement]) -> str:
