@@ -152,8 +152,10 @@ class Evidence(Displayed):
     words: str
 
 
-ResidualKind = Literal["displacement", "velocity", "time", "input", "output", "past", "outputs"]
-"""What a residual depends on; "past": on that of the same output before; "outputs": on that of another output."""
+ResidualKind = Literal["displacement", "velocity", "time", "input", "output"]
+"""What a residual depends on."""
+Follows = Literal["", "past", "other output"]
+"""What a residual of an output follows where that is no law of a signal: its own past, or what another one leaves."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
@@ -167,6 +169,7 @@ class LackOfFit(Displayed):
         share: Size of what is left as a share of the least named effect's force, both by what they do to the outputs
             beyond all that the model can make up for; infinite where that is all, nan where nothing is named.
         size: Size of what is left as a share of the measured outputs, root mean square.
+        follows: Of an output's residual: "past", its own, or "other output", both named by `where`; else "".
     """
 
     kind: ResidualKind
@@ -174,6 +177,7 @@ class LackOfFit(Displayed):
     p_value: float
     share: float
     size: float
+    follows: Follows = ""
 
 
 def beyond_noise(tests: Sequence[LackOfFit]) -> Iterator[LackOfFit]:
@@ -188,9 +192,9 @@ def worst_left(tests: Sequence[LackOfFit]) -> LackOfFit | None:
 
 def something(test: LackOfFit) -> str:
     """What is left, in words."""
-    if test.kind == "outputs":
+    if test.follows == "other output":
         return f"something that {test.where} share, as a force that nobody measured or a common cable makes it,"
-    if test.kind == "past":
+    if test.follows == "past":
         return f"something of {test.where} that follows its own past, as a force that nobody measured or hum does,"
     at = test.where if test.kind in {"input", "output"} else f"at {test.where}"
     return f"something that depends on the {test.kind} {at}"
@@ -198,7 +202,7 @@ def something(test: LackOfFit) -> str:
 
 def left_over(test: LackOfFit) -> str:
     """The same with its size; but the filter that makes noise white takes most of what no law describes."""
-    size = "" if test.kind in {"past", "outputs"} else f", {percent(test.size)} of the outputs"
+    size = "" if test.follows else f", {percent(test.size)} of the outputs"
     return f"{something(test)} is left{size}"
 
 

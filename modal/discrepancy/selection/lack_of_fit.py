@@ -45,7 +45,7 @@ from modal.discrepancy.noise.spectral import (
     log_f_tail,
     whitening_filter,
 )
-from modal.discrepancy.results import LackOfFit, ResidualKind, beyond_noise, something, worst_left
+from modal.discrepancy.results import Follows, LackOfFit, ResidualKind, beyond_noise, something, worst_left
 from modal.discrepancy.selection.smaller_models import run_without
 from modal.effects.catalogue import effects_at
 from modal.effects.effect import ForceEffect, is_sharp
@@ -215,7 +215,7 @@ def lack_of_fit(node: Node, task: Task, *, known: int = 0) -> tuple[LackOfFit, .
     if left is None:
         return ()
     effects = range(known, len(node.effects))
-    found: list[tuple[ResidualKind, str, float, float]] = []
+    found: list[tuple[ResidualKind, str, float, float, Follows]] = []
     groups = (
         (kind, where, [part.responses(own) for part, own in zip(left.parts, sources, strict=True)])
         for kind, where, sources in _groups(left.parts)
@@ -224,7 +224,7 @@ def lack_of_fit(node: Node, task: Task, *, known: int = 0) -> tuple[LackOfFit, .
     for kind, where, responses in chain(groups, ((kind, where, seen) for kind, seen, where in powers)):
         log_p, fall, rank = left.tested(responses)
         if rank:
-            found.append((kind, where, log_p, fall))
+            found.append((kind, where, log_p, fall, ""))
     found += _correlations(left) + _in_common(left)
     named = min((weight for i in effects if (weight := _effect_weight(left, i)) is not None), default=None)
     outputs = [
@@ -238,8 +238,9 @@ def lack_of_fit(node: Node, task: Task, *, known: int = 0) -> tuple[LackOfFit, .
             p_value=float(min(np.exp(min(log_p + np.log(len(found)), 0.0)), 1.0)),
             share=np.nan if named is None else float(np.sqrt(fall / named)) if named > 0.0 else np.inf,
             size=float(np.sqrt(fall / max(signal, TINY))),
+            follows=follows,
         )
-        for kind, where, log_p, fall in sorted(found, key=lambda one: (one[2], -one[3]))
+        for kind, where, log_p, fall, follows in sorted(found, key=lambda one: (one[2], -one[3]))
     )
 
 
@@ -415,12 +416,12 @@ def _output_sources(run: Estimate, channel: int) -> list[Source]:
     return found
 
 
-def _correlations(left: _Left) -> list[tuple[ResidualKind, str, float, float]]:
+def _correlations(left: _Left) -> list[tuple[ResidualKind, str, float, float, Follows]]:
     """What is left of each output, the parameters' own step taken first, as a series: it follows an input, or itself.
 
     The latter is asked of held-out records by Ljung and Box's test; the former of all, at any delay.
     """
-    found: list[tuple[ResidualKind, str, float, float]] = []
+    found: list[tuple[ResidualKind, str, float, float, Follows]] = []
     for part in left.parts:
         plant, drive = part.run.assembly.plant, part.run.trajectory.drive
         for one in part.records:
@@ -430,7 +431,7 @@ def _correlations(left: _Left) -> list[tuple[ResidualKind, str, float, float]]:
                 if count <= 2 * N_LAGS:
                     continue
                 for name, signal in zip(plant.input_names, inputs, strict=True):
-                    found.append(("input", name, *_late(series, filter_by(taps, signal))))
+                    found.append(("input", name, *_late(series, filter_by(taps, signal)), ""))
                 if not one.held_out:
                     continue
                 total = max(float(series @ series), TINY)
@@ -438,11 +439,11 @@ def _correlations(left: _Left) -> list[tuple[ResidualKind, str, float, float]]:
                 shares = [float(series[lag:] @ series[:-lag]) / total for lag in range(1, N_LAGS + 1)]
                 q = count * (count + 2) * sum(r * r / m for r, m in zip(shares, sizes, strict=True))
                 log_p = log_chi_square_tail(q, N_LAGS - (len(taps) - 1))
-                found.append(("past", plant.output_names[output], log_p, q))
+                found.append(("output", plant.output_names[output], log_p, q, "past"))
     return found
 
 
-def _in_common(left: _Left) -> list[tuple[ResidualKind, str, float, float]]:
+def _in_common(left: _Left) -> list[tuple[ResidualKind, str, float, float, Follows]]:
     """What two outputs share of what is left of them above the floor (Brillinger 1981, 8.5): noise of sensors does not.
 
     Each line of the spectrum counts by how much of it is above the floor; a force reaches the two alike in all records.
@@ -460,14 +461,13 @@ def _in_common(left: _Left) -> list[tuple[ResidualKind, str, float, float]]:
             crosses += (above * lines) @ (above * lines).conj().T
             sizes += above**2 @ above.T**2
     falls = 2.0 * np.abs(crosses) ** 2 / np.maximum(sizes, TINY)
-    pairs = combinations(range(len(names)), 2)
-    return [("outputs", f"{names[i]} and {names[j]}", -0.5 * float(falls[i, j]), float(falls[i, j])) for i, j in pairs]
+    each = [(f"{names[i]} and {names[j]}", falls.item(i, j)) for i, j in combinations(range(len(names)), 2)]
+    return [("output", where, -0.5 * fall, fall, "other output") for where, fall in each]
 
 
 def _late(white: FloatArray, signal: FloatArray) -> tuple[float, float]:
     """Log p and the fall of the delay, up to half of the record, at which white noise of deviation 1 follows most."""
-    n = len(white)
-    n_delays = n // 2
+    n, n_delays = len(white), len(white) // 2
     seen = np.fft.irfft(np.fft.rfft(white, 2 * n) * np.fft.rfft(signal, 2 * n).conj(), 2 * n)[:n_delays]
     energy = np.cumsum(signal**2)[::-1][:n_delays]  # of what has arrived
     fall = float(np.max(seen**2 / np.maximum(energy, TINY + ROUNDING * energy[0])))
@@ -573,30 +573,24 @@ def only_noise(node: Node, root: Node, task: Task) -> bool:
 
 def what_is_left(tests: Sequence[LackOfFit], best: Node, root: Node) -> tuple[list[str], list[str]]:
     """Why a model is not firm for what it leaves, and what must be said beside a firm name."""
-    known = len(root.effects)
-    found = best.coarse.assembly.placements[known:]
+    found = best.coarse.assembly.placements[len(root.effects) :]
     left = [one for one in beyond_noise(tests) if one.share > SLIGHT]
     for one in left:
         if one.share > MUCH or any(_same_motion(one, item) for item in found):
-            whole = "" if one.kind in {"past", "outputs"} else ": the law is another one, or has company"
-            return [_left_beside(one, found) + whole], []
-    return [], [f"besides, {_left_beside(one, found)}" for one in left[:1]]
-
-
-def _left_beside(test: LackOfFit, found: Sequence[EffectPlacement]) -> str:
-    how_much = "" if test.kind in {"past", "outputs"} else f", {_how_much(test, found)}"
-    return f"{something(test)} is left{how_much}"
+            more = "" if one.follows else f"{_how_much(one, found)}: the law is another one, or has company"
+            return [f"{something(one)} is left{more}"], []
+    return [], [f"besides, {something(one)} is left{_how_much(one, found)}" for one in left[:1]]
 
 
 def _how_much(test: LackOfFit, found: Sequence[EffectPlacement]) -> str:
     """The size of what is left, in words: by the least of the effects where the rest of the model cannot replace it."""
-    if not np.isfinite(test.share):
-        return f"{percent(test.size)} of the outputs"
+    if test.follows or not np.isfinite(test.share):
+        return "" if test.follows else f", {percent(test.size)} of the outputs"
     least = {1: "", 2: "the weaker of "}.get(len(found), "the weakest of ")
     names = effects_at([(item.effect.key, item.where) for item in found])
     forces = all(isinstance(item.effect, ForceEffect) and item.channel < 0 for item in found)
     does = f"the force of {least}{names}" if forces else f"what {least}{names} does to the outputs"
-    return f"{percent(test.share)} of {does}"
+    return f", {percent(test.share)} of {does}"
 
 
 def _same_motion(test: LackOfFit, item: EffectPlacement) -> bool:

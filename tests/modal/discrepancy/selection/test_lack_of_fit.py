@@ -46,7 +46,7 @@ def curve(outside):
 def test_a_right_law_leaves_nothing(right):
     assert right.status == "named"
     assert right.lack_of_fit[0].p_value > UNLIKELY or right.lack_of_fit[0].share < 0.01
-    assert {one.kind for one in right.lack_of_fit} == {"displacement", "velocity", "time", "input", "output", "past"}
+    assert {one.kind for one in right.lack_of_fit} == {"displacement", "velocity", "time", "input", "output"}
     assert {one.where for one in right.lack_of_fit} == {"element_0", "input_0", "output_0"}
     p_values = [one.p_value for one in right.lack_of_fit]
     assert p_values == sorted(p_values)
@@ -222,7 +222,7 @@ def test_hum_depends_on_no_output_and_its_size_is_not_that_of_what_a_filter_leav
     """The autoregression that makes a residual white takes most of a tone: 3 % of the outputs was said to be 0.1 %."""
     found = chain_with(lambda n: sum(0.07 / h * np.sin(0.9 * h * np.arange(n) + h) for h in (1, 2, 3)), seed=8)
     assert (found.status, found.findings) == ("unresolved", ())
-    assert min(one.p_value for one in found.lack_of_fit if one.kind == "past") < 1e-6
+    assert min(one.p_value for one in found.lack_of_fit if one.follows == "past") < 1e-6
     said = " ".join(found.warnings)
     assert re.search(
         "follows its own past, as a force that nobody measured or hum does, is left|share, as a force", said
