@@ -83,7 +83,7 @@ class _Look:
 
 
 def drifting_modes(
-    modes: Sequence[Mode], records: Sequence[Record], left: Sequence[FloatArray], *, output_scale: FloatArray
+    modes: tuple[Mode, ...], records: Sequence[Record], left: Sequence[FloatArray], *, output_scale: FloatArray
 ) -> tuple[Mode, ...]:
     """Modes that change during the records, beyond chance and notably.
 
@@ -115,7 +115,7 @@ def changing_modes(
 
 
 def _looks(
-    modes: Sequence[Mode], records: Sequence[Record], left: Sequence[FloatArray], output_scale: FloatArray
+    modes: tuple[Mode, ...], records: Sequence[Record], left: Sequence[FloatArray], output_scale: FloatArray
 ) -> list[_Look]:
     poles, _ = discrete_poles(modes, records[0].dt)
     length = max(1, sum(record.n_samples for record in records) // N_BLOCKS)
