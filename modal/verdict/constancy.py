@@ -34,7 +34,7 @@ from okid.record import Record
 
 N_BLOCKS = 20
 """Cut all records together into about so many blocks: enough to tell their own scatter."""
-CHANCE = 2e-3
+CHANCE = 0.01
 """Believe in a slope where chance makes as steep a one in this share of records, however many slopes each has."""
 NOTABLE = 0.1
 """Speak of a change of the pole by this share of its decay rate: the spread at which damping is not to be quoted."""
