@@ -292,8 +292,8 @@ def _what_follows(residuals: ResidualCheck, *, grew: bool) -> tuple[str, ...]:
     if grew:
         what, why = "model", "or changes in time"
     text = (
-        f"What the {what} leaves over still follows the inputs (statistic over degrees of freedom "
-        f"{residuals.input_correlation_ratio:.1f}, 1 is none): the system is not linear, {why}, so expect damping "
+        f"What the {what} leaves over still follows the inputs, {residuals.input_correlation_ratio:.1f} times as much "
+        f"as chance would: the system is not linear, {why}, so expect damping "
         "ratios to be off."
     )
     return (text,)
