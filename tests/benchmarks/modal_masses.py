@@ -7,6 +7,7 @@ A chain of three to six masses between 1 kg and 1 t in all, damping 0.4 to 2 %, 
 
 - held: a white force at one mass, held over each sample, as a converter gives it.
 - shaker: the same between two samples; force and motion run at 16 times the rate and pass one anti-aliasing filter.
+- table: responses of a long such record, Hann blocks of 5 s half over each other, with coherence and their number.
 - hammer: each mass is struck by half-sines of 1 to 2 samples, in a record of its own; filtered likewise.
 
 An error counts in standard deviations as stated. The standard error of a share is that of systems, whose masses err
@@ -84,17 +85,43 @@ def held(rng):
     return [one], struck, truth(matrices, sensors)
 
 
-def shaker(rng):
+def shaken(rng, n_rows, *, past=100):
     n_masses, kind = int(rng.integers(3, 7)), str(rng.choice(list(UNITS)))
     matrices, struck = chain(rng, n_masses), int(rng.integers(n_masses))
     sensors = range(n_masses)
     system = structure(
         *matrices, force_dofs=[struck], sensor_dofs=sensors, sensor_kinds=kind, dt=DT / OVER, hold="linear"
     )
-    force = rng.standard_normal((OVER * int(rng.integers(2000, 3001)), 1))
-    both = filtered(np.hstack([force, simulate(system, force)]))[100:-100]
+    force = rng.standard_normal((OVER * n_rows, 1))
+    both = filtered(np.hstack([force, simulate(system, force)]))[past:-past]
     one = record(rng, both[:, :1], both[:, 1:], sensors, kind, struck=struck, hold="shaken")
     return [one], struck, truth(matrices, sensors)
+
+
+def shaker(rng):
+    return shaken(rng, int(rng.integers(2000, 3001)))
+
+
+def table(rng):
+    (one,), struck, known = shaken(rng, 16000)
+    settings = {"fs": 1 / DT, "window": "hann", "nperseg": 512}
+    force = one.inputs[:, 0]
+    frequencies, of_force = scipy.signal.welch(force, **settings)
+    response = np.array([scipy.signal.csd(force, y, **settings)[1] / of_force for y in one.outputs.T])
+    coherence = np.array([scipy.signal.coherence(force, y, **settings)[1] for y in one.outputs.T])
+    kept = (frequencies > 0) & (frequencies < 0.42 / DT)
+    responses = okid.FrequencyResponse(
+        response.T[kept][:, :, np.newaxis],
+        frequencies[kept],
+        coherence=coherence.T[kept][:, :, np.newaxis],
+        n_averages=len(force) // 512,
+        window="hann",
+        output_names=one.output_names,
+        output_units=one.output_units,
+        input_names=one.input_names,
+        input_units=one.input_units,
+    )
+    return responses, struck, known
 
 
 def hammer(rng):
@@ -115,7 +142,7 @@ def hammer(rng):
     return okid.join_setups(records), driven, truth(matrices, sensors)
 
 
-CASES = {"held": held, "shaker": shaker, "hammer": hammer}
+CASES = {"held": held, "shaker": shaker, "hammer": hammer, "table": table}
 
 
 def errors_of(case, seed):
