@@ -49,9 +49,10 @@ class Shown:
 
     MOST_NOISE: Final = MOST_NAMED
     """Name so many noise poles; the report has all."""
-    MOST_LINES: Final = 19
-    """Let all that is said besides the rows of the modes fill so many lines, the files included: six modes and what is
-    said of them then stand in a window of 25 lines, and what is longer is in the report."""
+    MOST_LINES: Final = 25
+    """Let the answer of up to six modes fill so many lines, those of a window, and what is longer is in the report."""
+    MODES: Final = 6
+    """Give each mode beyond these a line more."""
     FILES: Final = 4
     """Keep so many of them for `show_files`."""
     LEAST_SHARE: Final = 0.05
@@ -148,8 +149,9 @@ def show_result(
     show_limits(console, limits)
     used = sum(len(text.wrap(console, console.width)) for text in (*head, *below))
     said = (*data_sentences(result), *remarks)
-    fixed = Shown.FILES + 1 + bool(believed) + 2  # files, a blank and the head of the table, a blank and a heading
-    _in_room(console, result.warnings, said, Shown.MOST_LINES - fixed - used)
+    most = Shown.MOST_LINES + max(0, len(believed) - Shown.MODES)
+    fixed = Shown.FILES + 1 + bool(believed) + len(believed) + 2  # files, a blank, the table, a blank and a heading
+    _in_room(console, result.warnings, said, most - fixed - used)
 
 
 def _below_the_table(result: Identification, believed: Sequence[tuple[int, Mode]]) -> list[Text]:
