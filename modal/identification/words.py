@@ -454,9 +454,7 @@ def fit_sentence(result: Identification) -> str:
         return f"The model reproduces only {reproduced(fit)} of data kept aside{rest}"
     names, fits = result.channels.output_names, result.fit.cross_validated
     worst = int(fits.argmin())
-    how = (
-        "From the inputs alone" if result.channels.n_inputs else "From the samples before (no input was measured)"
-    )
+    how = "From the inputs alone" if result.channels.n_inputs else "From the samples before (no input was measured)"
     how = "From the start of each record alone" if result.record_kind == "decay" else how
     what = "data kept aside"
     if result.response is not None:
