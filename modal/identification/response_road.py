@@ -337,7 +337,7 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
     table, fit, noise, white = found.table, found.fit, found.noise, found.under_white
     model = realised(fit, table)
     of_poles = np.hypot(pole_deviations(table, fit, noise), found.moved)
-    of_pairs = residue_deviations(table, fit, noise, np.flatnonzero(fit.is_pair)) if fit is white else []
+    of_pairs = residue_deviations(table, fit, noise, np.flatnonzero(fit.is_pair).tolist()) if fit is white else []
     unjudged = _with_deviations(extract_modes(realised(white, table)), white, table, of_poles, of_pairs)
     reruns, folds, held_out = _again(found)
     ratios, onward = np.ones(fit.poles.size), np.zeros(fit.poles.size, dtype=np.bool_)

@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
-from modal_masses import OVER, filtered
+from modal_masses import OVER, filtered, of_lines
 
 DT, POINTS = 1 / 512, 12
 PLACES = np.stack(np.meshgrid([0.13, 0.37, 0.61, 0.89], [0.17, 0.48, 0.86], indexing="ij"), axis=-1).reshape(-1, 2)
@@ -71,7 +71,7 @@ class Plate:
 
 def recorded(rng, forces, motion):
     """What the recorder keeps of both: filtered, one row in 16, 1 % noise on the motion."""
-    both = filtered(np.hstack([forces, motion]))[100:-100]
+    both = filtered(np.hstack([of_lines(forces), motion]))[100:-100]
     force, clean = both[:, : forces.shape[1]], both[:, forces.shape[1] :]
     return force, clean + 0.01 * clean.std(axis=0) * rng.standard_normal(clean.shape)
 
