@@ -71,7 +71,7 @@ def check_excitation(records: Record | Sequence[Record], *, order: int) -> Excit
         >>> check.persistency_order
         2
         >>> print(check.messages[0])
-        the inputs are persistently exciting of order 2 only, 6 is needed: at most 2 past samples can be told apart; ...
+        the inputs hold too few frequencies: they tell the effects of 2 successive samples apart, and 6 are needed; ...
     """
     several = as_records(records)
     order = whole_number(order, name="an order of persistent excitation", least=1)
@@ -208,9 +208,9 @@ def _order_messages(order: int, persistency: int, condition: float) -> list[str]
     if persistency < order:
         return [
             (
-                f"the inputs are persistently exciting of order {persistency} only, {order} is needed: at most "
-                f"{persistency} past samples can be told apart; use a lower observer order, a ridge, or inputs with "
-                "more frequencies."
+                f"the inputs hold too few frequencies: they tell the effects of {persistency} successive "
+                f"sample{'s' * (persistency != 1)} apart, and {order} are needed; drive with more frequencies, or use "
+                "a lower observer order or a ridge."
             )
         ]
     if condition > _POOR_CONDITION:

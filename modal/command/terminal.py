@@ -26,21 +26,35 @@ from modal.acceptance.check import LimitOutcome
 from modal.command.stopping import Requests
 from modal.examples.demo import ModeComparison
 from modal.identification.result import Identification
-from modal.identification.words import damping_text, frequency_text, mass_text, shown_frequency, trust_of
+from modal.identification.words import (
+    damping_sentence,
+    damping_text,
+    doubtful_sentence,
+    frequency_text,
+    mass_text,
+    shown_frequency,
+    trust_of,
+)
 from modal.modes.mode import Mode, numbered
 from modal.quality import DataQuality
 from modal.recording.live import live_recording
 from modal.report.writing import ReportFiles
 from modal.sections.words import data_sentences, modes_headline, next_sentences, remark_of
-from modal.wording.text import hertz, shorten
+from modal.wording.text import MOST_NAMED, clipped, hertz, ranges, shorten
 from okid.errors import visible
 
 
 class Shown:
     """How much a terminal shows, and from when on."""
 
-    MOST_NOISE: Final = 5
+    MOST_NOISE: Final = MOST_NAMED
     """Name so many noise poles; the report has all."""
+    MOST_LINES: Final = 25
+    """Let the answer of up to six modes fill so many lines, those of a window, and what is longer is in the report."""
+    MODES: Final = 6
+    """Give each mode beyond these a line more."""
+    FILES: Final = 4
+    """Keep so many of them for `show_files`."""
     LEAST_SHARE: Final = 0.05
     """Say nothing of the time left before this share of the work: the start says little about the rest."""
     LONG: Final = 60.0
@@ -114,26 +128,79 @@ def show_result(
     limits: Sequence[LimitOutcome] = (),
     quality: DataQuality | None = None,
 ) -> None:
-    """Headline, how sure, what to do, mode table, limits of acceptance, warnings."""
+    """Headline, how sure, what to do, mode table and doubts, limits of acceptance, warnings as far as there is room."""
     judgement = trust_of(result)
-    console.print(plain(modes_headline(result), "bold"))
-    console.print(plain(f"{judgement.label}. ", _TRUST[judgement.trust]) + plain(" ".join(judgement.reasons)))
-    console.print(plain("Next: ", "bold") + plain(" ".join(next_sentences(result, quality))))
-    console.print()
+    in_table = (damping_sentence(result), doubtful_sentence(result))
+    reasons = " ".join(reason for reason in judgement.reasons if reason not in in_table)
+    head = [
+        plain(modes_headline(result), "bold"),
+        plain(f"{judgement.label}. ", _TRUST[judgement.trust]) + plain(reasons),
+        plain("Next: ", "bold") + plain(" ".join(next_sentences(result, quality))),
+    ]
     believed = [(number, mode) for number, mode in numbered(result.modes.modes) if mode.verdict != "noise"]
+    below = _below_the_table(result, believed)
+    for text in head:
+        console.print(text)
+    console.print()
     if believed:
         console.print(_mode_table(believed))
+    for text in below:
+        console.print(text)
+    show_limits(console, limits)
+    used = sum(len(text.wrap(console, console.width)) for text in (*head, *below))
+    said = (*data_sentences(result), *remarks)
+    most = Shown.MOST_LINES + max(0, len(believed) - Shown.MODES)
+    fixed = Shown.FILES + 1 + bool(believed) + len(believed) + 2  # files, a blank, the table, a blank and a heading
+    _in_room(console, result.warnings, said, most - fixed - used)
+
+
+def _below_the_table(result: Identification, believed: Sequence[tuple[int, Mode]]) -> list[Text]:
+    """What is said of modes besides their numbers: one sentence a doubt with the modes that it is of, masses, noise."""
+    of_reason: dict[tuple[str, str], list[int]] = {}
+    for number, mode in believed:
+        if remark := _first_part(remark_of(mode)):
+            of_reason.setdefault((remark, mode.verdict), []).append(number)
+    lines = [
+        plain(f"{ranges(numbers)}: ", "bright_black")
+        + plain(f"{remark}.", "" if verdict == "system" else _COLOURS[verdict])
+        for (remark, verdict), numbers in of_reason.items()
+    ]
     weighed = [f"{number}: {mass_text(mode)}" for number, mode in believed if math.isfinite(mode.modal_mass)]
     if weighed:
-        console.print(plain("Modal mass [kg]: ", "bold") + plain(", ".join(weighed)))
-    noise = [f"{hertz(shown_frequency(mode))} Hz" for mode in result.modes if mode.verdict == "noise"]
+        lines.append(plain("Modal mass [kg]: ", "bold") + plain(", ".join(weighed)))
+    noise = [hertz(shown_frequency(mode)) for mode in result.modes if mode.verdict == "noise"]
     if noise:
-        named = noise[: Shown.MOST_NOISE] + [f"{len(noise) - Shown.MOST_NOISE} more"] * (len(noise) > Shown.MOST_NOISE)
+        named = f"{', '.join(noise[: Shown.MOST_NOISE])} Hz"
+        more = f", {len(noise) - Shown.MOST_NOISE} more" * (len(noise) > Shown.MOST_NOISE)
         poles = "one pole" if len(noise) == 1 else f"{len(noise)} poles"
-        console.print(plain(f"Taken for noise: {poles} ({', '.join(named)}); the report says why.", "bright_black"))
-    show_limits(console, limits)
-    listing(console, "Warnings", result.warnings, "yellow")
-    listing(console, "Data", (*data_sentences(result), *remarks), "")
+        lines.append(plain(f"Taken for noise: {poles} ({named}{more}); see the report.", "bright_black"))
+    return lines
+
+
+def _in_room(console: Console, warnings: Sequence[str], remarks: Sequence[str], room: int) -> None:
+    """Warnings and remarks whole where they fit, else the beginning of each, and the report has the rest.
+
+    Each sentence gets as many lines as any other and one at least, so that none is lost for the length of another;
+    remarks for which there is no line are counted.
+    """
+    kept = max(room - len(warnings), 1)
+    many = len(remarks) > kept
+    if many:
+        remarks = [*remarks[: kept - 1], f"{len(remarks) - kept + 1} {'more ' * (kept > 1)}remarks"]
+    items = [plain(f"- {sentence}") for sentence in (*warnings, *remarks)]
+    lengths = [len(item.wrap(console, console.width)) for item in items]
+    most = max(lengths, default=1)
+    while most > 1 and sum(min(length, most) for length in lengths) > room:
+        most -= 1
+    cut = many or most < max(lengths, default=1)
+    if items:
+        heading = "Warnings and data" if warnings and remarks else "Warnings" if warnings else "Data"
+        console.print()
+        console.print(plain(heading, "bold yellow" if warnings else "bold") + plain(", whole in the report" * cut))
+    for item in items:
+        lines = item.wrap(console, console.width)
+        whole = " ".join(line.plain.rstrip() for line in lines[:most])
+        console.print(item if len(lines) <= most else plain(clipped(whole, len(whole))))
 
 
 def show_limits(console: Console, limits: Sequence[LimitOutcome]) -> None:
@@ -203,10 +270,7 @@ def _mode_table(shown: Sequence[tuple[int, Mode]]) -> Table:
     table.add_column("damping", justify="right", no_wrap=True)
     table.add_column("reappears", justify="right", no_wrap=True)
     table.add_column("verdict", no_wrap=True)
-    remarks = [_first_part(remark_of(mode)) for _, mode in shown]
-    if any(remarks):
-        table.add_column("why", ratio=1)
-    for (number, mode), remark in zip(shown, remarks, strict=True):
+    for number, mode in shown:
         colour = _COLOURS[mode.verdict]
         table.add_row(
             plain(str(number), "bright_black"),
@@ -214,7 +278,6 @@ def _mode_table(shown: Sequence[tuple[int, Mode]]) -> Table:
             plain(damping_text(mode), colour),
             plain(number_text(mode.repeatability, "{:.2f}"), colour),
             plain(mode.verdict, colour),
-            *([plain(remark, "" if mode.verdict == "system" else colour)] if any(remarks) else []),
         )
     return table
 

@@ -362,6 +362,24 @@ def fit_at(
     )
 
 
+def linear_columns(table: ResponseLines, fit: ResponseFit) -> FloatArray:
+    """(2 n_lines n_inputs, n_columns) what an output's shapes and feedthrough multiply, as in `ResponseFit.inverse`."""
+    g, mirrored = table.values_of(fit.poles)
+    return _columns(g, mirrored * fit.is_pair, fit.is_pair, fit.inputs)
+
+
+def participation_moved(fit: ResponseFit, pole: int, given: int) -> ComplexArray:
+    """(n_parameters,) by which the participation of a pole in an input changes as each parameter of a fit grows."""
+    n_poles, (of_pole, of_input) = fit.poles.size, _free(fit.inputs)
+    turns = fit.is_pair[np.r_[np.arange(n_poles), of_pole]]
+    moved = np.zeros(turns.size + int(turns.sum()), dtype=np.complex128)
+    own = n_poles + np.flatnonzero((of_pole == pole) & (of_input == given))
+    moved[own] = 1.0
+    if fit.is_pair[pole]:
+        moved[turns.size + np.searchsorted(np.flatnonzero(turns), own)] = 1j
+    return moved
+
+
 def _columns(g: ComplexArray, mirrored: ComplexArray, is_pair: BoolArray, inputs: ComplexArray) -> FloatArray:
     """What shapes multiply, their real parts and then the imaginary ones of pairs, and what the feedthrough does."""
     real_part, imag_part = _parts(g[:, np.newaxis] * inputs.T, mirrored[:, np.newaxis] * inputs.T.conj())

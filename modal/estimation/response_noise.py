@@ -5,12 +5,19 @@ after it. For inputs that are white over a resonance its covariance over outputs
 closed form (`leakage`), and makes weights and standard deviations right where resonances are narrower than a line.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
-from modal.estimation.response_fit import LARGEST_SIZE, ResponseFit, ResponseLines
+from modal.estimation.response_fit import (
+    LARGEST_SIZE,
+    ResponseFit,
+    ResponseLines,
+    linear_columns,
+    participation_moved,
+)
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
 from okid.frequency_response import OVERLAP
 
@@ -340,34 +347,8 @@ def pole_deviations(table: ResponseLines, fit: ResponseFit, noise: Noise) -> tup
     of a model, and cut off where they fade, so that S may have negative parts; no deviation is less than if each line
     told as much as those that the window joins do together.
     """
-    flat = fit.slopes.reshape(-1, fit.slopes.shape[-1])
-    curvature = flat.T @ flat
-    slopes = (fit.slopes[:, 0] + 1j * fit.slopes[:, 1]).transpose(2, 1, 0, 3)  # inputs, lines, outputs, parameters
-    weight = np.where(table.known, 1 / np.sqrt(noise.variance), 0.0).transpose(2, 0, 1)
-    spread = np.zeros_like(curvature)
-    for offset in _reach(table):
-        covariance = _covariances(table, fit, noise, offset)
-        n_lines = covariance.shape[1]
-        later = slopes[:, offset:] * weight[:, offset:, :, np.newaxis]
-        here = covariance @ (slopes[:, :n_lines] * weight[:, :n_lines, :, np.newaxis])
-        part = 0.5 * np.einsum("ilqa,ilqb->ab", later.conj(), here, optimize=True).real
-        spread += part if offset == 0 else part + part.T
-    if table.leaks:
-        alone = 1.0 if table.together else np.eye(len(noise.share))
-        blocks = noise.share * table.power  # one over their number
-        share = np.sqrt(np.outer(blocks, blocks)) * alone
-        power = noise.leakage * noise.share
-        within = np.sqrt(noise.variance / np.maximum(noise.variance, power)).transpose(2, 0, 1)
-        scaled = (slopes * (weight * within)[..., np.newaxis]).conj()
-        for offset in range(1, min(FARTHEST, table.z.size - 1) + 1):
-            later, here = _crossing(table, fit, offset)
-            one = np.einsum("ilqa,lqj->lija", scaled[:, offset:], later, optimize=True) * share[..., np.newaxis]
-            other = np.einsum("jlqb,lqi->lijb", scaled[:, : later.shape[0]], here, optimize=True)
-            part = 0.5 * np.einsum("lija,lijb->ab", one, other, optimize=True).real
-            spread += part + part.T
-    # in units of their own, so that what is undetermined does not depend on how the unknowns are measured
-    units = np.sqrt(np.maximum(np.diag(curvature), TINY))
-    inverse = np.linalg.pinv(curvature / np.outer(units, units), hermitian=True) / np.outer(units, units)
+    inverse = _inverse_curvature(fit)
+    (spread,) = _spreads(table, fit, noise, [fit.slopes])
     covariance, least = inverse @ spread @ inverse, 0.5 * inverse / lines_joined(table)
     n_poles, pairs = fit.poles.size, np.flatnonzero(fit.is_pair)
     f_std, d_std = np.full(n_poles, np.nan), np.full(n_poles, np.nan)
@@ -382,3 +363,107 @@ def pole_deviations(table: ResponseLines, fit: ResponseFit, noise: Noise) -> tup
         bend = np.array([-(s.imag**2), s.real * s.imag][: len(rows)]) / size**3
         d_std[r] = np.sqrt(max(float(bend @ floor @ bend), float(bend @ block @ bend)))
     return f_std, d_std
+
+
+def _inverse_curvature(fit: ResponseFit) -> FloatArray:
+    flat = fit.slopes.reshape(-1, fit.slopes.shape[-1])
+    curvature = flat.T @ flat
+    # in units of their own, so that what is undetermined does not depend on how the unknowns are measured
+    units = np.sqrt(np.maximum(np.diag(curvature), TINY))
+    inverse: FloatArray = np.linalg.pinv(curvature / np.outer(units, units), hermitian=True) / np.outer(units, units)
+    return inverse
+
+
+def _spreads(table: ResponseLines, fit: ResponseFit, noise: Noise, several: Sequence[FloatArray]) -> list[FloatArray]:
+    """(n_sums, n_sums) covariances of weighted sums of the errors, with weights shaped as slopes, n_sums of them."""
+    weights = [(each[:, 0] + 1j * each[:, 1]).transpose(2, 1, 0, 3) for each in several]  # inputs, lines, outputs, sums
+    known = np.where(table.known, 1 / np.sqrt(noise.variance), 0.0).transpose(2, 0, 1)
+    spreads = [np.zeros((each.shape[-1],) * 2) for each in several]
+    for offset in _reach(table):
+        covariance = _covariances(table, fit, noise, offset)
+        n_lines = covariance.shape[1]
+        for k, weight in enumerate(weights):
+            later = weight[:, offset:] * known[:, offset:, :, np.newaxis]
+            here = covariance @ (weight[:, :n_lines] * known[:, :n_lines, :, np.newaxis])
+            part = 0.5 * np.einsum("ilqa,ilqb->ab", later.conj(), here, optimize=True).real
+            spreads[k] += part if offset == 0 else part + part.T
+    if not table.leaks:
+        return spreads
+    alone = 1.0 if table.together else np.eye(len(noise.share))
+    blocks = noise.share * table.power  # one over their number
+    share = np.sqrt(np.outer(blocks, blocks)) * alone
+    power = noise.leakage * noise.share
+    within = np.sqrt(noise.variance / np.maximum(noise.variance, power)).transpose(2, 0, 1)
+    for offset in range(1, min(FARTHEST, table.z.size - 1) + 1):
+        ahead, behind = _crossing(table, fit, offset)
+        for k, weight in enumerate(weights):
+            scaled = (weight * (known * within)[..., np.newaxis]).conj()
+            one = np.einsum("ilqa,lqj->lija", scaled[:, offset:], ahead, optimize=True) * share[..., np.newaxis]
+            other = np.einsum("jlqb,lqi->lijb", scaled[:, : ahead.shape[0]], behind, optimize=True)
+            part = 0.5 * np.einsum("lija,lijb->ab", one, other, optimize=True).real
+            spreads[k] += part + part.T
+    return spreads
+
+
+def residue_deviations(
+    table: ResponseLines, fit: ResponseFit, noise: Noise, poles: Sequence[int]
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Deviations of shape and modal mass of some poles of a fit with the weights 1 / variance.
+
+    A residue is c_o b_i. What the errors e, weighted, do to the poles and participations is K^-1 J' e with J the slopes
+    and K the curvature, and to the shapes of an output, V C' e less what they answer to those, with C the columns that
+    the shapes multiply and V their inverse: sums of errors, whose covariance is that of `pole_deviations`.
+
+    Args:
+        table: that was fitted.
+        fit: of it.
+        noise: about it.
+        poles: indices of pairs.
+
+    Returns:
+        For each (n_outputs,) root mean square distance of the components of a shape whose largest is 1, and
+        (n_outputs, n_inputs) relative standard deviations of the mass m ~ c_o / (c_l^2 b_i), l the largest component;
+        the frequency in it is known far better, and left out.
+    """
+    n_outputs, _, n_lines, n_inputs, n_free = fit.slopes.shape
+    inverse, steps = _inverse_curvature(fit), fit.slopes.reshape(n_outputs, -1, n_free)
+    by_step = steps @ inverse
+    weight = np.where(table.known, 1 / np.sqrt(noise.variance), 0.0)
+    columns = linear_columns(table, fit)
+    changes = []
+    for pole in poles:
+        rows = [pole, fit.poles.size + int(np.searchsorted(np.flatnonzero(fit.is_pair), pole))]
+        sums = np.zeros((n_outputs, steps.shape[1], n_outputs + n_inputs), dtype=np.complex128)
+        for o, c in enumerate(fit.shapes[:, pole]):
+            answer = (fit.answers[o][rows[0]] + 1j * fit.answers[o][rows[1]]) / _nonzero(c)
+            sums[..., o] -= by_step @ answer
+            own = (np.tile(weight[:, o].ravel(), 2)[:, np.newaxis] * columns) @ fit.inverse[o][:, rows]
+            sums[o, :, o] += (own[:, 0] + 1j * own[:, 1]) / _nonzero(c)
+        for i in range(n_inputs):
+            moved = participation_moved(fit, pole, i) / _nonzero(fit.inputs[pole, i])
+            sums[..., n_outputs + i] = by_step @ moved
+        changes.append(np.concatenate([sums.real, sums.imag], axis=-1))
+    shape = (n_outputs, 2, n_lines, n_inputs, -1)
+    spreads = _spreads(table, fit, noise, [each.reshape(shape) for each in changes])
+    found, n = [], n_outputs + n_inputs
+    for pole, change, spread in zip(poles, changes, spreads, strict=True):
+        flat = change.reshape(-1, change.shape[-1])
+        both = spread, 0.5 * flat.T @ flat / lines_joined(table)
+        sizes = np.abs(fit.shapes[:, pole] * table.output_scale)
+        unit, largest = np.eye(n), int(sizes.argmax())
+        apart = unit[:n_outputs] - unit[largest]
+        of_mass = (unit[:n_outputs] - 2.0 * unit[largest])[:, np.newaxis] - unit[n_outputs:]
+        relative = _variance(apart, both, slice(n)) + _variance(apart, both, slice(n, 2 * n))
+        found.append((np.sqrt(relative) * sizes / sizes[largest], np.sqrt(_variance(of_mass, both, slice(n)))))
+    return found
+
+
+def _variance(weights: FloatArray, covariances: Sequence[FloatArray], part: slice) -> FloatArray:
+    """The largest that any of the covariances gives to the weighted sums, weights along the last axis."""
+    forms = [np.einsum("...a,ab,...b->...", weights, one[part, part], weights) for one in covariances]
+    return np.asarray(np.maximum(np.max(forms, axis=0), 0.0), dtype=np.float64)
+
+
+def _nonzero(value: complex) -> complex:
+    """A component that is nothing as the least number, so that its relative deviation is beyond all bounds."""
+    return value if value != 0 else TINY

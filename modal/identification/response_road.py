@@ -31,6 +31,7 @@ from modal.estimation.response_noise import (
     lines_joined,
     noise_of,
     pole_deviations,
+    residue_deviations,
     runs_on,
     with_powers,
 )
@@ -333,16 +334,15 @@ def _path_down(
 
 
 def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWindow, float]) -> Identification:
-    table, fit, noise = found.table, found.fit, found.noise
+    table, fit, noise, white = found.table, found.fit, found.noise, found.under_white
     model = realised(fit, table)
-    frequency_std, damping_std = pole_deviations(table, fit, noise)
-    frequency_std, damping_std = np.hypot([frequency_std, damping_std], found.moved)
-    white = found.under_white
-    unjudged = _with_deviations(extract_modes(realised(white, table)), white, table, frequency_std, damping_std)
+    of_poles = np.hypot(pole_deviations(table, fit, noise), found.moved)
+    of_pairs = residue_deviations(table, fit, noise, np.flatnonzero(fit.is_pair).tolist()) if fit is white else []
+    unjudged = _with_deviations(extract_modes(realised(white, table)), white, table, of_poles, of_pairs)
     reruns, folds, held_out = _again(found)
     ratios, onward = np.ones(fit.poles.size), np.zeros(fit.poles.size, dtype=np.bool_)
     if fit is white:  # else it is told how the force falls
-        of_damping = damping_std / np.maximum(-np.log(np.abs(fit.poles)) / np.abs(np.log(fit.poles)), TINY)
+        of_damping = of_poles[1] / np.maximum(-np.log(np.abs(fit.poles)) / np.abs(np.log(fit.poles)), TINY)
         ratios = beyond_blocks(table, fit, noise, of_damping, found.response.n_averages)
         onward = runs_on(table, fit, noise)
     weight = weight_of(table, noise)
@@ -393,20 +393,20 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
 
 
 def _with_deviations(
-    model: ModalModel, fit: ResponseFit, table: ResponseLines, frequency_std: FloatArray, damping_std: FloatArray
+    model: ModalModel,
+    fit: ResponseFit,
+    table: ResponseLines,
+    of_poles: FloatArray,
+    of_pairs: Sequence[tuple[FloatArray, FloatArray]],
 ) -> ModalModel:
-    """Deviations of the pole of the fit that each mode is."""
-    poles = np.log(fit.poles) / table.dt
+    """Deviations of the pole of the fit that each mode is; of shape and mass, where they are known of pairs."""
+    poles, pairs = np.log(fit.poles) / table.dt, np.flatnonzero(fit.is_pair).tolist()
     modes = []
     for mode in model.modes:
         nearest = int(np.abs(poles - mode.pole).argmin())
-        modes.append(
-            replace(
-                mode,
-                frequency_std=float(frequency_std[nearest]),
-                damping_ratio_std=float(damping_std[nearest]) if mode.kind == "oscillatory" else 0.0,
-            )
-        )
+        shape, mass = of_pairs[pairs.index(nearest)] if of_pairs and nearest in pairs else (None, None)
+        f_std, d_std = map(float, of_poles[:, nearest] * [1.0, mode.kind == "oscillatory"])
+        modes.append(replace(mode, frequency_std=f_std, damping_ratio_std=d_std, shape_std=shape, mass_std=mass))
     why = "the model is fitted to the responses themselves, and cut from no Hankel matrix"
     return replace(model, modes=tuple(modes), indicators_missing=why)
 

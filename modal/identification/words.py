@@ -292,8 +292,8 @@ def _what_follows(residuals: ResidualCheck, *, grew: bool) -> tuple[str, ...]:
     if grew:
         what, why = "model", "or changes in time"
     text = (
-        f"What the {what} leaves over still follows the inputs (statistic over degrees of freedom "
-        f"{residuals.input_correlation_ratio:.1f}, 1 is none): the system is not linear, {why}, so expect damping "
+        f"What the {what} leaves over still follows the inputs, {residuals.input_correlation_ratio:.1f} times as much "
+        f"as chance would: the system is not linear, {why}, so expect damping "
         "ratios to be off."
     )
     return (text,)
@@ -454,7 +454,7 @@ def fit_sentence(result: Identification) -> str:
         return f"The model reproduces only {reproduced(fit)} of data kept aside{rest}"
     names, fits = result.channels.output_names, result.fit.cross_validated
     worst = int(fits.argmin())
-    how = "From the inputs alone" if result.channels.n_inputs else "One step ahead (no input was measured)"
+    how = "From the inputs alone" if result.channels.n_inputs else "From the samples before (no input was measured)"
     how = "From the start of each record alone" if result.record_kind == "decay" else how
     what = "data kept aside"
     if result.response is not None:

@@ -83,7 +83,9 @@ def stabilisation_diagram(evidence: OrderEvidence, modes: ModalModel, *, measure
         measured: records whose mean output spectrum is drawn behind.
     """
     figure, panel = one_panel(STYLE.page, 4.6)
-    nyquist = 0.5 / modes.dt
+    last = 0.5 / modes.dt
+    if not measured:  # lines may end far below half the sampling frequency of their model
+        last = min(last, max([point.frequency for point in evidence.stabilisation], default=last))
     highest = max([evidence.order, *(point.order for point in evidence.stabilisation)])
     frequency, power = _mean_spectrum(measured) if measured else (np.zeros(0), np.zeros(0))
     if power.any():
@@ -96,8 +98,8 @@ def stabilisation_diagram(evidence: OrderEvidence, modes: ModalModel, *, measure
         places = [point.frequency for point in points], [point.order for point in points]
         panel.dots(*places, role, dot=STYLE.dot if number else 2.4, label=word)
     panel.across(evidence.order, "model")
-    mark_modes(panel, modes, 0.05 * nyquist)
-    panel.x.limits, panel.y.limits = (0.0, nyquist), (0.0, highest * 1.05)
+    mark_modes(panel, modes, 0.05 * last)
+    panel.x.limits, panel.y.limits = (0.0, last), (0.0, highest * 1.05)
     panel.x.label, panel.y.label = "frequency [Hz]", "model order"
     figure.key = Key(panel=panel, below=True, title=colour_measure(evidence)[2])
     return figure

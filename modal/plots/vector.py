@@ -120,7 +120,8 @@ def _axes(panel: Panel) -> list[str]:
         )
     if panel.y.label:
         wide = max([text_width(text, STYLE.tick) for _, text in y_ticks], default=0.0) if panel.y.labelled else 0.0
-        across = left - 2.0 * STYLE.gap - wide
+        below = (STYLE.line - 1.0) * STYLE.label  # letters and brackets reach below their line, towards the ticks
+        across = left - 2.0 * STYLE.gap - wide - below
         parts.append(_words(across, middle, panel.y.label, "ink", size=STYLE.label, anchor="middle", turned=True))
     return parts
 

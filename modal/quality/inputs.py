@@ -75,7 +75,7 @@ def excitation_findings(records: Sequence[Record]) -> list[Finding]:
             level, what = "bad", "inputs alike"
         elif alike and message.startswith("the inputs"):  # follows from it
             continue
-        elif message.startswith("the inputs are persistently"):
+        elif message.startswith("the inputs hold too few"):
             level, what = "doubtful", "poor excitation"
         elif message.startswith("the inputs of"):
             level, what = "note", "poor excitation"

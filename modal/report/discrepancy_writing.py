@@ -45,8 +45,6 @@ from modal.sections.discrepancy_values import (
 from modal.sections.discrepancy_words import diagnosis_headline, judge_diagnosis, next_steps, where_sentences
 from modal.sections.provenance import Provenance, installed_version
 from modal.simulation.plant import MASS
-from modal.structure.plant_model import PlantModel
-from modal.structure.structural_model import StructuralModel
 from modal.wording.text import MOST_NAMED, NINETY_FIVE, csv_cell, exact_percent, number, shorten
 from okid.arrays import FloatArray
 from okid.errors import visible
@@ -180,7 +178,7 @@ def write_diagnosis(
         InvalidDataError: a file of the report exists already, or the folder cannot be written.
     """
     target, source = Path(folder), provenance or Provenance()
-    model = model_name(diagnosis)
+    model = words.model_name(diagnosis)
     write_folder(
         target,
         DiagnosisFiles.in_folder(target).names,
@@ -189,11 +187,6 @@ def write_diagnosis(
         gone=("report.pdf",),
     )
     return DiagnosisFiles.in_folder(target, model=model)
-
-
-def model_name(diagnosis: Diagnosis) -> str | None:
-    """The name of the file of the updated model, None where its type has none."""
-    return "model.json" if isinstance(diagnosis.model, StructuralModel | PlantModel) else None
 
 
 def _write_all(diagnosis: Diagnosis, files: DiagnosisFiles, provenance: Provenance) -> None:

@@ -287,7 +287,7 @@ def _verdict_values(result: Identification) -> dict[str, object]:
         "n_samples": sum(each.n_samples for each in result.records),
         "n_missing": sum(int(each.n_samples - each.complete_rows().sum()) for each in result.records),
         "duration": sum(each.duration for each in result.records),
-        "hold": "" if record is None else hold_text(record.input_hold),
+        "hold": "" if record is None or not record.n_inputs else hold_text(record.input_hold),
     }
 
 

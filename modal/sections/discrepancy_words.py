@@ -34,6 +34,8 @@ from modal.sections.discrepancy_values import (
     times_text,
     value_with_unit,
 )
+from modal.structure.plant_model import PlantModel
+from modal.structure.structural_model import StructuralModel
 from modal.wording.text import MOST_NAMED, exact_percent, listed, number, percent
 
 COULD_HIDE = "What the data could still hide: "
@@ -183,10 +185,16 @@ def hidden_sentence(diagnosis: Diagnosis) -> str:
     return f"{COULD_HIDE}{'; '.join(parts)}{rest}."
 
 
+def model_name(diagnosis: Diagnosis) -> str | None:
+    """The name of the file of the updated model, None where its type has none."""
+    return "model.json" if isinstance(diagnosis.model, StructuralModel | PlantModel) else None
+
+
 def next_steps(diagnosis: Diagnosis) -> tuple[str, ...]:
     """What to do next: go on with the model where it is proved, and what to measure."""
     if diagnosis.status == "named":
-        first = "Simulate with the updated model; it holds the effects with their values."
+        file = f" ({name})" if (name := model_name(diagnosis)) else ""
+        first = f"Simulate with the updated model{file}: it holds the effects with their values."
     elif diagnosis.status == "none" and _all(unexplained_outputs(diagnosis), diagnosis):
         first = "Check channels, sensors and the strength of the input first: so far nothing was compared but noise."
     elif diagnosis.status == "none":

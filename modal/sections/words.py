@@ -103,10 +103,13 @@ def remark_of(mode: Mode) -> str:
 
 
 def data_sentences(result: Identification) -> tuple[str, ...]:
-    """What kind of record it is, unless driven, and what the inputs cannot show, as far as no warning says it."""
+    """What kind of record it is, unless driven, and what the inputs cannot show, as far as no warning says it.
+
+    Where there are none, a warning or the kind says so.
+    """
     told = [one for one in result.choices if one.what == "record kind" and one.value != "driven"]
     kind = tuple(f"Record kind: {one.value} ({one.reason})." for one in told)
-    messages = () if result.excitation is None else result.excitation.messages
+    messages = () if result.excitation is None or not result.channels.n_inputs else result.excitation.messages
     return (*kind, *(message for message in messages if message not in result.warnings))
 
 

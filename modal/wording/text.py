@@ -37,6 +37,36 @@ def listed(words: Sequence[str]) -> str:
     return " and ".join(words) if len(words) < 3 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
+def clipped(text: str, most: int) -> str:
+    """The beginning of a text that is too long: to the end of a clause where one ends in its second half.
+
+    Example:
+        >>> clipped("The inputs hardly move: say so, and drive them more.", 40)
+        'The inputs hardly move: say so …'
+    """
+    room = most - 2
+    ends = [found.start() for found in re.finditer(r"[.;:,]? ", text[: room + 1])]
+    clauses = [found.start() for found in re.finditer(r"[.;:,] ", text[: room + 1]) if found.start() > room / 2]
+    end = clauses[-1] if clauses else ends[-1] if ends else room
+    return f"{text[:end]} …"
+
+
+def ranges(numbers: Sequence[int]) -> str:
+    """Rising whole numbers, three and more in a row as a range.
+
+    Example:
+        >>> ranges([1, 2, 4, 5, 6, 9])
+        '1, 2, 4–6, 9'
+    """
+    runs: list[list[int]] = []
+    for each in numbers:
+        if runs and each == runs[-1][-1] + 1:
+            runs[-1].append(each)
+        else:
+            runs.append([each])
+    return ", ".join(f"{run[0]}–{run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs)
+
+
 def counted(number: int) -> str:
     """A number of things, up to twelve as a word.
 

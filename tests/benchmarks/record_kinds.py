@@ -27,7 +27,7 @@ UNTRUE = {
         "never moves",
         "not linear",
         "periodic disturbance",
-        "persistently exciting of order",
+        "too few frequencies",
         "samples late",
     ),
     "decay": ("not linear", "periodic disturbance", "colour of what drives", "No input was given"),

@@ -18,7 +18,7 @@ def test_sines_have_twice_their_number(n_sines):
     u = sum(np.sin(0.35 * (j + 1) * k + j) for j in range(n_sines))
     check = check_excitation(record(u), order=12)
     assert check.persistency_order == 2 * n_sines
-    assert f"of order {2 * n_sines} only, 12 is needed" in check.messages[0]
+    assert f"effects of {2 * n_sines} successive samples apart, and 12 are needed" in check.messages[0]
 
 
 def test_white_inputs_carry_all_that_is_asked():

@@ -55,16 +55,48 @@ def test_six_modes_with_their_files_take_at_most_25_lines_of_80_letters(identifi
     assert sum(line.split()[-1:] == ["system"] for line in lines) == 6
 
 
+WARNINGS = (
+    "No input was given: damping and shapes hold if what drives the system is broad-band, and the fit is one-step's.",
+    "The model does not reproduce these outputs (fit to data kept aside): tip (0.32), root (0.41), flange 17 (0.21).",
+    "Parts of the data fit very differently (0.31 to 0.92 over the folds): something not measured drives the system.",
+)
+
+
+@pytest.mark.parametrize("n_remarks", [0, 1, 40])
+@pytest.mark.parametrize("n_warnings", [0, 1, 3])
+def test_warnings_doubts_and_remarks_leave_six_modes_in_25_lines(identification, n_warnings, n_remarks):
+    """An ambient record of a plate took 40 lines, a shaker whose six modes share one doubt 59."""
+    doubt = "the inputs follow the outputs as in a loop, which may move it by several of its deviations"
+    first = replace(identification.modes.modes[0], frequency_std=3e-5, verdict="doubtful", reason=f"{doubt}; and more")
+    own = replace(first, verdict="system", reason="")
+    modes = tuple(replace(one, frequency=one.frequency + i) for i, one in enumerate([own, *[first] * 4, own]))
+    result = replace(identification, modes=replace(identification.modes, modes=modes), warnings=WARNINGS[:n_warnings])
+    remarks = [
+        f"channel {i}: its unit is not read, so that its numbers are taken as they stand" for i in range(n_remarks)
+    ]
+    file = io.StringIO()
+    console = Console(file=file, width=80, force_terminal=False, color_system=None)
+    show_result(console, result, remarks=remarks)
+    show_files(console, ReportFiles.in_folder(Path("result")))
+    lines = file.getvalue().splitlines()
+    assert len(lines) <= 25
+    assert max(map(len, lines)) <= 80
+    text = " ".join(" ".join(lines).split())
+    assert text.count(doubt) == 1
+    assert f"3–6: {doubt}." in text
+    assert all(warning[:60] in text for warning in WARNINGS[:n_warnings])
+    assert ("whole in the report" in text) == ("…" in text or "remarks" in text)
+    assert n_remarks == 0 or "channel 0" in text or f"{n_remarks} remarks" in text
+
+
 def test_noise_poles_are_one_line(make_result, identification):
     noise = identification.modes.modes[4]
     modes = type(identification.modes)(
         modes=(*identification.modes.modes[:3], *[noise] * (Shown.MOST_NOISE + 2)), dt=0.01, indicator_caution=0.05
     )
     text = printed(show_result, make_result(modes=modes))
-    named = ", ".join([f"{hertz(noise.frequency)} Hz"] * Shown.MOST_NOISE)
-    assert f"Taken for noise: {Shown.MOST_NOISE + 2} poles ({named}, 2 more); the report says why." in " ".join(
-        text.split()
-    )
+    named = ", ".join([hertz(noise.frequency)] * Shown.MOST_NOISE)
+    assert f"Taken for noise: {Shown.MOST_NOISE + 2} poles ({named} Hz, 2 more); see the report." in text
 
 
 def test_what_is_a_warning_is_not_printed_again(make_result, identification):
@@ -77,7 +109,7 @@ def test_what_is_a_warning_is_not_printed_again(make_result, identification):
 def test_one_pole_is_one_pole(make_result, identification):
     noise = identification.modes.modes[4]
     text = printed(show_result, make_result(modes=replace(identification.modes, modes=(noise,))))
-    assert f"Taken for noise: one pole ({hertz(noise.frequency)} Hz); the report says why." in text
+    assert f"Taken for noise: one pole ({hertz(noise.frequency)} Hz); see the report." in text
     assert "damping" not in text  # no head of a table without rows
 
 

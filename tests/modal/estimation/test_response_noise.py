@@ -5,7 +5,13 @@ import pytest
 from response_tables import averaged, drawn_structure, held_response
 
 from modal.estimation.response_fit import lines_of, refined
-from modal.estimation.response_noise import beyond_blocks, noise_of, pole_deviations, with_powers
+from modal.estimation.response_noise import (
+    beyond_blocks,
+    noise_of,
+    pole_deviations,
+    residue_deviations,
+    with_powers,
+)
 from modal.estimation.response_order import first_weight, weight_of
 from okid.frequency_response import FrequencyResponse
 
@@ -51,3 +57,37 @@ def test_references_of_unlike_power_are_no_uneven_forces(driven):
         ratios.append(beyond_blocks(one, best, noise, relative, n_averages))
     assert (ratios[0] != 1).any()
     np.testing.assert_array_equal(ratios[1], 1.0)
+
+
+def test_deviations_of_shapes_and_masses_are_how_far_repeated_tests_scatter():
+    """An analyser's tables of one structure, Hann blocks and two forces at once: masses had no deviation."""
+    f, damping, shapes = drawn_structure(np.random.default_rng([61702, 58]), 100.0)
+    f, damping, shapes = f[:3], damping[:3], shapes[:, :3]
+    rng, points, grid = np.random.default_rng(23), [0, 2], np.arange(129) * 100.0 / 256
+    of_shape, of_mass, told = [], [], []
+    for _ in range(24):
+        forces = rng.standard_normal((8192, 2))
+        outputs = held_response(forces, f, damping, shapes, shapes[points], dt=0.01)
+        outputs += 0.05 * outputs.std(axis=0) * rng.standard_normal(outputs.shape)
+        response, coherence, n_averages = averaged(forces, outputs, "hann", 256)
+        given = {"coherence": coherence, "n_averages": n_averages, "window": "hann"}
+        table, _ = lines_of(FrequencyResponse(response, grid, **given), "hann")
+        poles = np.exp(2 * np.pi * f * (-damping + 1j * np.sqrt(1 - damping**2)) * table.dt)
+        inputs = shapes[points].T / table.input_scale
+        inputs = inputs / np.take_along_axis(inputs, np.abs(inputs).argmax(axis=1)[:, np.newaxis], axis=1)
+        fit = refined(table, (poles, np.ones(3, dtype=bool), inputs + 0j), first_weight(table), n_steps=8)
+        table = with_powers(table, fit)
+        fit = refined(table, fit.start, weight_of(table, noise_of(table, fit)), n_steps=8)
+        told.append(residue_deviations(table, fit, noise_of(table, fit), range(3)))
+        c, b = (fit.shapes * table.output_scale[:, np.newaxis]).T, fit.inputs / table.input_scale
+        largest = c[np.arange(3), np.abs(shapes).argmax(axis=0)][:, np.newaxis]
+        of_shape.append(c / largest)
+        of_mass.append(np.log(np.abs(c[:, :, np.newaxis] / (largest**2)[..., np.newaxis] / b[:, np.newaxis])))
+    stated = [np.sqrt(np.mean([[mode[part] ** 2 for mode in one] for one in told], axis=0)) for part in (0, 1)]
+    for values, deviation in zip((of_shape, of_mass), stated, strict=True):
+        scatter = np.std(values, axis=0, ddof=1)
+        there = deviation > 0  # the largest component of a shape is 1
+        assert scatter[~there] == pytest.approx(0.0, abs=1e-12)
+        ratios = scatter[there] / deviation[there]
+        assert np.sqrt(np.mean(ratios**2)) == pytest.approx(1.0, abs=0.15)
+        assert (ratios < 1.7).all()

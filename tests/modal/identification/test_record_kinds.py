@@ -16,7 +16,7 @@ from okid.errors import InvalidDataError
 from okid.markov import MarkovParameters
 from okid.record import Record
 
-UNTRUE = ("never moves", "not linear", "periodic disturbance", "persistently exciting", "samples late", "No input was")
+UNTRUE = ("never moves", "not linear", "periodic disturbance", "too few frequencies", "samples late", "No input was")
 
 
 def identified(truth, **options):

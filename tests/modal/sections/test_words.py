@@ -125,7 +125,7 @@ def test_without_inputs_nothing_is_said_about_inputs(identification):
     record = identification.records[0].select(inputs=[])
     sentence = fit_sentence(replace(identification, records=(record,)))
     assert "inputs alone" not in sentence
-    assert "One step ahead" in sentence
+    assert "From the samples before" in sentence
 
 
 @pytest.mark.parametrize(
