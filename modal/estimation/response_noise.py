@@ -98,8 +98,10 @@ def _own_leakage(table: ResponseLines, fit: ResponseFit) -> tuple[FloatArray, Fl
     for shift in table.shifts:
         parts = [np.einsum("lqq->lq", _leakage(table, fit, group, 0, shift)) for group in groups]
         both.append(np.stack(parts * (n_inputs // len(parts)), axis=2) * _common(table, shift).conj())
-    alone = both[table.shifts.index(0)].real
-    return np.maximum(alone, 0.0), np.maximum(sum(both).real, 0.0)
+    alone = np.maximum(both[table.shifts.index(0)].real, 0.0)
+    # no two blocks share more than each holds, which rounding does not know where broad poles cancel one another
+    most = sum(float(np.abs(_common(table, shift)[0, 0, 0])) for shift in table.shifts)
+    return alone, np.clip(sum(both).real, 0.0, most * alone)
 
 
 def _common(table: ResponseLines, shift: int, offset: int = 0) -> ComplexArray:
@@ -320,10 +322,10 @@ def _covariances(table: ResponseLines, fit: ResponseFit, noise: Noise, offset: i
         own = slice(variance.shape[1] - offset)
         alone = (size[:, offset:, :, np.newaxis] * size[:, own, np.newaxis]) * np.eye(n_outputs)
         return np.asarray(common * alone, dtype=np.complex128)
+    power = noise.averaged.transpose(2, 0, 1) * noise.share[:, np.newaxis, np.newaxis]
+    size = np.sqrt(variance / np.maximum(variance, power))
     both = _modelled(table, fit, noise, offset)
     own = slice(both.shape[1])
-    each = both if offset == 0 else _modelled(table, fit, noise, 0)
-    size = np.sqrt(variance / np.maximum(np.einsum("ilqq->ilq", each).real, TINY))
     scaled = both * (size[:, offset:, :, np.newaxis] * size[:, own, np.newaxis])
     return np.asarray(scaled, dtype=np.complex128)
 

@@ -153,7 +153,7 @@ def distorted_chain(seed, *, cubic=0.0, friction=0.0, n_samples=1024, n_records=
     )
 
 
-def averaged(forces, outputs, window, n_samples, record=None, step=None):
+def averaged(forces, outputs, window, n_samples, *, record=None, step=None):
     """H1 with multiple coherence: half overlap for windows that fade, none for a uniform one, unless told the step.
 
     Rows are records of so many samples, one after the other, which no block spans; all are one record unless given.
