@@ -50,6 +50,7 @@ _COSINES: dict[str, tuple[float, ...]] = {
     "flattop": (0.21557895, -0.41663158, 0.277263158, -0.083578947, 0.006947368),
 }
 OVERLAP = {"hann": 0.5, "hamming": 0.5, "flattop": 0.75}
+"""Let blocks share so much of their samples unless told, as analysers do; others none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -65,6 +66,7 @@ class FrequencyResponse(Displayed):
         n_averages: number of blocks that were averaged, None where it is not known.
         window: of the blocks. A table of n_lines from 0 Hz comes from blocks of 2 (n_lines - 1) samples.
         window_time_constant: [s], of an exponential window exp(-t / tau) from the start of the block.
+        overlap: share of a block that the next one has as well, in [0, 1); None where it is not known.
         input_names: one an input, "input_0", ... unless given.
         output_names: one an output, "output_0", ... unless given.
         input_units: one an input, "" where unknown.
@@ -87,6 +89,7 @@ class FrequencyResponse(Displayed):
     n_averages: int | None = None
     window: ResponseWindow = "unknown"
     window_time_constant: float | None = None
+    overlap: float | None = None
     input_names: tuple[str, ...] = ()
     output_names: tuple[str, ...] = ()
     input_units: tuple[str, ...] = ()
@@ -117,6 +120,8 @@ class FrequencyResponse(Displayed):
         if constant is not None and not (np.isfinite(constant) and constant > 0):
             raise InvalidDataError(f"window_time_constant must be positive, but is {self.window_time_constant!r} s.")
         set_(self, "window_time_constant", constant)
+        if self.overlap is not None:
+            set_(self, "overlap", _share(self.overlap))
         for kind, count in (("input", n_inputs), ("output", n_outputs)):
             set_(self, f"{kind}_names", labels(getattr(self, f"{kind}_names"), count, kind, named=True))
             set_(self, f"{kind}_units", labels(getattr(self, f"{kind}_units"), count, kind, named=False))
@@ -165,6 +170,13 @@ class FrequencyResponse(Displayed):
         values = np.full((self.n_lines, min(self.n_outputs, self.n_inputs)), np.nan)
         values[known] = np.linalg.svd(self.response[known], compute_uv=False)
         return values
+
+
+def _share(overlap: float) -> float:
+    share = real_number(overlap)
+    if not 0 <= share < 1:
+        raise InvalidDataError(f"overlap must be a share in [0, 1), but is {overlap!r}.")
+    return share
 
 
 def _complex_with_gaps(values: npt.ArrayLike) -> ComplexArray:
@@ -503,9 +515,7 @@ def estimate_response(
     if estimator == "H2" and first.n_inputs > 1:
         raise InvalidDataError(f"H2 is defined for one input, but there are {first.n_inputs}; use H1 or Hv.")
     length = _block_samples(several, window, n_samples)
-    share = OVERLAP.get(window, 0.0) if overlap is None else real_number(overlap)
-    if not 0 <= share < 1:
-        raise InvalidDataError(f"overlap must be a share in [0, 1), but is {overlap!r}.")
+    share = OVERLAP.get(window, 0.0) if overlap is None else _share(overlap)
     constant = None if window_time_constant is None else real_number(window_time_constant)
     if window == "exponential" and not (constant is not None and np.isfinite(constant) and constant > 0):
         raise InvalidDataError("an exponential window needs window_time_constant, a positive number of seconds.")
@@ -535,6 +545,7 @@ def estimate_response(
         n_averages=spectra.n_averages,
         window=window,
         window_time_constant=constant if hits else None,
+        overlap=share,
         input_names=first.input_names,
         output_names=first.output_names,
         input_units=first.input_units,

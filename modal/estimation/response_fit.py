@@ -17,6 +17,7 @@ from modal.modes.modal_form import modal_basis
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
 from okid.errors import InvalidDataError
 from okid.frequency_response import (
+    OVERLAP,
     FrequencyResponse,
     ResponseWindow,
     block_length,
@@ -52,6 +53,7 @@ class ResponseLines:
         lags: (n_samples,) what the window leaves at each lag; None: whole periods, in closed form.
         first: number of the first line on the grid of the block.
         window: of the blocks.
+        overlap: share of a block that the next one has as well.
         noise: (n_lines, n_outputs, n_inputs) (1 - coherence) / coherence, None where it is not known.
         trust: the same shape, coherence beyond that of noise alone, 1 where it is not known.
         together: whether all inputs acted at once.
@@ -67,6 +69,7 @@ class ResponseLines:
     lags: FloatArray | None
     first: int
     window: ResponseWindow
+    overlap: float
     noise: FloatArray | None
     trust: FloatArray
     together: bool
@@ -102,24 +105,37 @@ class ResponseLines:
         # real lags: the conjugate's spectrum is the pole's own, mirrored
         return np.stack([spectra[..., lines], spectra[..., -lines].conj()])
 
-    def transformed(self, poles: ComplexArray, lags: FloatArray | ComplexArray) -> ComplexArray:
-        """(n_lines, n_poles) sum over lags k >= 1 of lambda^(k-1) lags(k) z^-k."""
-        spectra: ComplexArray = self._spectra(poles, lags)[:, self.first : self.first + self.z.size].T
-        return spectra
+    def transformed(self, poles: ComplexArray, lags: tuple[ComplexArray, ComplexArray], shift: int = 0) -> ComplexArray:
+        """(n_lines, n_poles) sum over k >= 1 of lambda^(k-1) a(k - shift) z^(shift - k).
+
+        Args:
+            poles: (n_poles,) lambda.
+            lags: a(v) and a(-v) for v = 0, 1, ..., as `ambiguity` gives them.
+            shift: samples from one block to the other.
+        """
+        n = lags[0].size
+        v = np.arange(1 - shift, n)
+        values = _powers(poles, v.size) * np.where(v < 0, lags[1][np.abs(v)], lags[0][v])
+        series = np.zeros((poles.size, n), dtype=np.complex128)
+        series[:, v[v >= 0]] = values[:, v >= 0]
+        series[:, v[v < 0]] += values[:, v < 0]  # at whole lines a block repeats itself
+        return np.asarray(np.fft.fft(series)[:, self.first : self.first + self.z.size].T, dtype=np.complex128)
+
+    @property
+    def shifts(self) -> tuple[int, ...]:
+        """Samples from a block to those that share samples with it, itself among them."""
+        if self.lags is None or not self.leaks:
+            return (0,)
+        n = self.lags.size
+        step = max(1, round(n * (1 - self.overlap)))
+        return tuple(range(-((n - 1) // step) * step, n, step))
 
     @staticmethod
-    def _spectra(poles: ComplexArray, lags: FloatArray | ComplexArray) -> ComplexArray:
-        """(..., n_poles, n_samples) the same sum at all lines of the grid, lags (..., n_samples)."""
+    def _spectra(poles: ComplexArray, lags: FloatArray) -> ComplexArray:
+        """(..., n_poles, n_samples) transform of each pole's powers over lags (..., n_samples), at all of the grid."""
         n = lags.shape[-1]
-        size = np.clip(np.abs(poles), TINY, 1 + 30 / n)  # so that a growing pole's power stays a number
-        log = (np.log(size) + 1j * np.angle(poles))[:, np.newaxis]
-        stride = int(np.ceil(np.sqrt(n)))  # powers below it, times powers of it, are all powers
-        few = np.arange(stride)
-        powers = (np.exp(log * stride * few)[..., np.newaxis] * np.exp(log * few)[:, np.newaxis]).reshape(
-            log.size, stride**2
-        )
-        series = np.zeros((*lags.shape[:-1], log.size, n), dtype=np.complex128)
-        np.multiply(powers[:, : n - 1], lags[..., np.newaxis, 1:], out=series[..., 1:])
+        series = np.zeros((*lags.shape[:-1], poles.size, n), dtype=np.complex128)
+        np.multiply(_powers(poles, n - 1), lags[..., np.newaxis, 1:], out=series[..., 1:])
         return np.asarray(np.fft.fft(series), dtype=np.complex128)
 
     def joined(self, offset: int) -> complex:
@@ -145,6 +161,16 @@ class ResponseLines:
         turned = w * np.exp(-2j * np.pi * offset / n * np.arange(n))
         both = np.fft.ifft(np.fft.fft(turned, 2 * n) * np.fft.fft(w, 2 * n).conj()) / (w @ w)
         return both[:n], np.r_[both[:1], both[:n:-1]]
+
+
+def _powers(poles: ComplexArray, n: int) -> ComplexArray:
+    """(n_poles, n) 1, lambda, lambda^2, ..."""
+    size = np.clip(np.abs(poles), TINY, 1 + 30 / (n + 1))  # so that a growing pole's power stays a number
+    log = (np.log(size) + 1j * np.angle(poles))[:, np.newaxis]
+    stride = int(np.ceil(np.sqrt(n + 1)))  # powers below it, times powers of it, are all powers
+    few = np.arange(stride)
+    powers = np.exp(log * stride * few)[..., np.newaxis] * np.exp(log * few)[:, np.newaxis]
+    return np.asarray(powers.reshape(log.size, stride**2)[:, :n], dtype=np.complex128)
 
 
 def lines_of(response: FrequencyResponse, window: ResponseWindow, finer: int = 1) -> tuple[ResponseLines, FloatArray]:
@@ -173,6 +199,7 @@ def lines_of(response: FrequencyResponse, window: ResponseWindow, finer: int = 1
         lags=lags,
         first=first,
         window=window,
+        overlap=OVERLAP.get(window, 0.0) if response.overlap is None else response.overlap,
         noise=noise,
         trust=trust,
         together=together,

@@ -19,7 +19,6 @@ from modal.estimation.response_fit import (
     participation_moved,
 )
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
-from okid.frequency_response import OVERLAP
 
 ROUNDING = 1e-13
 """Take errors for at least this share of a table's largest value: the digits of its numbers."""
@@ -37,12 +36,14 @@ SURE = 5.0
 """Call a ratio of variances another than 1 from so many standard deviations: one of 10^6 by chance."""
 
 
-def _leakage(table: ResponseLines, fit: ResponseFit, inputs: list[int], offset: int = 0) -> ComplexArray:
+def _leakage(
+    table: ResponseLines, fit: ResponseFit, inputs: list[int], offset: int = 0, shift: int = 0
+) -> ComplexArray:
     """(n_lines - offset, n_outputs, n_outputs) covariance of what finite blocks leave at lines l + offset and l.
 
     For independent white inputs of the table's powers: N(k) = Y(k) - G(k) U(k) with everything a sum over the block's
     window, so each term is a transform of the output's correlation, the pulse response, or nothing, over the window's
-    ambiguity.
+    ambiguity. Of line l + offset the block begins `shift` samples later.
     """
     poles, b, c = fit.expanded()
     sizes = np.sqrt(table.power[inputs])
@@ -54,28 +55,36 @@ def _leakage(table: ResponseLines, fit: ResponseFit, inputs: list[int], offset: 
     n_lines = table.z.size - offset
     model = c @ (table.basis(poles)[0][0][:, :, np.newaxis] * b) + d
     later, here = model[offset:], model[:n_lines].conj().transpose(0, 2, 1)
-    ahead, behind = table.ambiguity(offset)
-    plus = table.transformed(poles, ahead)[:n_lines]
-    minus = plus if offset == 0 else table.transformed(poles, behind.conj())[:n_lines]
+    plus, minus = _over(table, poles, offset, shift)
+    common = _common(table, shift, offset)
     outputs = c @ (plus[:, :, np.newaxis] * onward) + _mirrored(c @ (minus[:, :, np.newaxis] * onward))
-    out_in = c @ (plus[:, :, np.newaxis] * b) + d * ahead[0]
-    in_out = _mirrored(c @ (minus[:, :, np.newaxis] * b) + d * ahead[0].conj())
-    both = outputs + now * ahead[0] - out_in @ here - later @ in_out + later @ here * ahead[0]
+    out_in = c @ (plus[:, :, np.newaxis] * b) + d * common
+    in_out = _mirrored(c @ (minus[:, :, np.newaxis] * b) + d * common.conj())
+    both = outputs + now * common - out_in @ here - later @ in_out + later @ here * common
     return np.asarray(both, dtype=np.complex128)
 
 
-def _crossing(table: ResponseLines, fit: ResponseFit, offset: int) -> tuple[ComplexArray, ComplexArray]:
+def _over(table: ResponseLines, poles: ComplexArray, offset: int, shift: int) -> tuple[ComplexArray, ComplexArray]:
+    """(n_lines - offset, n_poles) sums of powers over the window, of blocks and lines so far apart, each way round."""
+    n_lines = table.z.size - offset
+    ahead, behind = table.ambiguity(offset)
+    plus = table.transformed(poles, (ahead, behind), shift)[:n_lines]
+    return plus, table.transformed(poles, (behind.conj(), ahead.conj()), -shift)[:n_lines]
+
+
+def _crossing(table: ResponseLines, fit: ResponseFit, offset: int, shift: int) -> tuple[ComplexArray, ComplexArray]:
     """(n_lines - offset, n_outputs, n_inputs) what is left at one line times the inputs at the other, each way round.
 
-    It makes errors of neighbouring lines turn together, so that their real and imaginary parts are not alike.
+    It makes errors of neighbouring lines, and of blocks that overlap, turn together, so that their real and imaginary
+    parts are not alike.
     """
     poles, b, c = fit.expanded()
     n_lines = table.z.size - offset
     model = c @ (table.basis(poles)[0][0][:, :, np.newaxis] * b) + fit.feedthrough
-    ahead, behind = table.ambiguity(offset)
-    plus, minus = table.transformed(poles, ahead)[:n_lines], table.transformed(poles, behind.conj())[:n_lines]
-    later = c @ (plus[:, :, np.newaxis] * b) + (fit.feedthrough - model[offset:]) * ahead[0]
-    here = c @ (minus[:, :, np.newaxis] * b) + (fit.feedthrough - model[:n_lines]) * ahead[0].conj()
+    plus, minus = _over(table, poles, offset, shift)
+    common = _common(table, shift, offset)
+    later = c @ (plus[:, :, np.newaxis] * b) + (fit.feedthrough - model[offset:]) * common
+    here = c @ (minus[:, :, np.newaxis] * b) + (fit.feedthrough - model[:n_lines]) * common.conj()
     return later, here
 
 
@@ -83,15 +92,30 @@ def _mirrored(matrices: ComplexArray) -> ComplexArray:
     return matrices.conj().transpose(0, 2, 1)
 
 
-def _own_leakage(table: ResponseLines, fit: ResponseFit) -> FloatArray:
-    """(n_lines, n_outputs, n_inputs) power of the leakage in each response."""
+def _own_leakage(table: ResponseLines, fit: ResponseFit) -> tuple[FloatArray, FloatArray]:
+    """(n_lines, n_outputs, n_inputs) power of the leakage in each response: of blocks apart, and as they overlap.
+
+    Of as many averages: what blocks share they say twice, and what one lacks of the answers the next one may hold.
+    """
     if not table.leaks:
-        return np.zeros(table.values.shape)
+        return np.zeros(table.values.shape), np.zeros(table.values.shape)
     n_inputs = table.values.shape[2]
     groups = [list(range(n_inputs))] if table.together else [[i] for i in range(n_inputs)]
-    parts = [np.einsum("lqq->lq", _leakage(table, fit, group)).real for group in groups]
-    power = np.stack(parts * (n_inputs // len(parts)), axis=2)
-    return np.asarray(np.maximum(power, 0.0), dtype=np.float64)
+    both = []
+    for shift in table.shifts:
+        parts = [np.einsum("lqq->lq", _leakage(table, fit, group, 0, shift)) for group in groups]
+        both.append(np.stack(parts * (n_inputs // len(parts)), axis=2) * _common(table, shift).conj())
+    alone = np.maximum(both[table.shifts.index(0)].real, 0.0)
+    # no two blocks share more than each holds, which rounding does not know where broad poles cancel one another
+    most = sum(float(np.abs(_common(table, shift)[0, 0, 0])) for shift in table.shifts)
+    return alone, np.clip(sum(both).real, 0.0, most * alone)
+
+
+def _common(table: ResponseLines, shift: int, offset: int = 0) -> ComplexArray:
+    """(n_lines - offset, 1, 1) correlation of a white input's spectra, of blocks and lines so far apart."""
+    ahead, behind = table.ambiguity(offset)
+    alike = ahead[-shift] if shift < 0 else behind[shift]
+    return np.asarray(alike * (table.z[: table.z.size - offset] ** shift)[:, np.newaxis, np.newaxis])
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -101,11 +125,13 @@ class Noise:
     Attributes:
         variance: (n_lines, n_outputs, n_inputs) of each value.
         leakage: the same shape, what finite blocks leave for inputs of the table's powers.
+        averaged: the same of blocks that overlap.
         share: (n_inputs,) of it in the variance: one over the number of averages and the input's power.
     """
 
     variance: FloatArray
     leakage: FloatArray
+    averaged: FloatArray
     share: FloatArray
 
 
@@ -122,13 +148,13 @@ def noise_of(table: ResponseLines, fit: ResponseFit) -> Noise:
         table: what was fitted.
         fit: the model of it.
     """
-    leak, scatter = _own_leakage(table, fit), np.abs(fit.left) ** 2
+    (leak, averaged), scatter = _own_leakage(table, fit), np.abs(fit.left) ** 2
     least = max((ROUNDING * np.abs(table.values * table.trust).max()) ** 2, TINY)
     scatter = scatter / max(0.1, 1 - fit.n_parameters / (2 * int(table.known.sum())))
     share = 1.0
     if table.noise is None:
         share, expected = _split(
-            scatter, [leak, np.abs(table.values - fit.left) ** 2 * table.known], table.known, least
+            scatter, [averaged, np.abs(table.values - fit.left) ** 2 * table.known], table.known, least
         )
         seen, reach = scatter, WIDE
     else:
@@ -136,8 +162,15 @@ def noise_of(table: ResponseLines, fit: ResponseFit) -> Noise:
         floor = np.maximum(_median(np.maximum(seen - leak, 0), table.known), least)
         expected, reach = leak + floor, NEAR
     expected = np.maximum(expected * _smoothed(seen / expected, table.known, reach), least)
+    if table.noise is not None:
+        expected = expected * (averaged + floor * _twice(table)) / (leak + floor)
     level = _weighted_mean((scatter / expected).reshape(-1, leak.shape[2]), table.known.reshape(-1, leak.shape[2]))
-    return Noise(variance=np.maximum(expected * level, least), leakage=leak, share=share * level)
+    return Noise(variance=np.maximum(expected * level, least), leakage=leak, averaged=averaged, share=share * level)
+
+
+def _twice(table: ResponseLines) -> float:
+    """By how much noise that is white over time scatters more than in as many blocks apart, which do not overlap."""
+    return float(sum(abs(_common(table, shift)[0, 0, 0]) ** 2 for shift in table.shifts)) if table.leaks else 1.0
 
 
 def _left_out(table: ResponseLines) -> FloatArray:
@@ -198,7 +231,7 @@ def beyond_blocks(
         if told.sum() > 0:
             each = seen[near].sum(axis=0) / np.maximum(expected[near].sum(axis=0), TINY)
             ratio = float((each * told).sum() / told.sum())
-            memories = -s.real * n * table.lags.size * (1 - OVERLAP.get(table.window, 0.0))
+            memories = -s.real * n * table.lags.size * (1 - table.overlap)
             spread = np.sqrt(1 / n + min(1.0, relative[r]) ** 2 / 4 + 1 / max(memories, TINY))
             ratios[r] = ratio if abs(np.log(max(ratio, TINY))) > SURE * spread else 1.0
     return ratios
@@ -286,25 +319,39 @@ def _covariances(table: ResponseLines, fit: ResponseFit, noise: Noise, offset: i
     """(n_inputs, n_lines - offset, n_outputs, n_outputs) of the responses to each input at lines l + offset and l.
 
     The errors of an input's responses are what the outputs hold beside the model, times the input, so their correlation
-    over lines is that of the one times that of the other.
+    over lines, and over blocks that overlap, is that of the one times that of the other.
     """
     variance = noise.variance.transpose(2, 0, 1)
-    n_inputs, n_lines, n_outputs = variance.shape
-    own = range(n_lines - offset)
+    n_outputs = variance.shape[2]
     if not table.leaks:
         size = np.sqrt(variance)
         common = table.joined(offset)
+        own = slice(variance.shape[1] - offset)
         alone = (size[:, offset:, :, np.newaxis] * size[:, own, np.newaxis]) * np.eye(n_outputs)
         return np.asarray(common * alone, dtype=np.complex128)
-    across = table.joined(offset)
-    groups = [list(range(n_inputs))] if table.together else [[i] for i in range(n_inputs)]
-    leaks = np.stack([_leakage(table, fit, group, offset) for group in groups]) * noise.share[:, np.newaxis, None, None]
-    power = noise.leakage.transpose(2, 0, 1) * noise.share[:, np.newaxis, np.newaxis]
-    rest = np.sqrt(np.maximum(variance - power, 0.0))
-    both = leaks + across * (rest[:, offset:, :, np.newaxis] * rest[:, own, np.newaxis]) * np.eye(n_outputs)
-    size = np.sqrt(variance / np.maximum(power + rest**2, TINY))
-    scaled = both * (size[:, offset:, :, np.newaxis] * size[:, own, np.newaxis]) * across.conjugate()
+    power = noise.averaged.transpose(2, 0, 1) * noise.share[:, np.newaxis, np.newaxis]
+    size = np.sqrt(variance / np.maximum(variance, power))
+    both = _modelled(table, fit, noise, offset)
+    own = slice(both.shape[1])
+    scaled = both * (size[:, offset:, :, np.newaxis] * size[:, own, np.newaxis])
     return np.asarray(scaled, dtype=np.complex128)
+
+
+def _modelled(table: ResponseLines, fit: ResponseFit, noise: Noise, offset: int) -> ComplexArray:
+    """The same of leaking blocks, before it is scaled to the variance of each value."""
+    variance = noise.variance.transpose(2, 0, 1)
+    n_inputs, _, n_outputs = variance.shape
+    groups = [list(range(n_inputs))] if table.together else [[i] for i in range(n_inputs)]
+    power = noise.averaged.transpose(2, 0, 1) * noise.share[:, np.newaxis, np.newaxis]
+    rest = np.sqrt(np.maximum(variance - power, 0.0) / _twice(table))
+    own = slice(variance.shape[1] - offset)
+    white = (rest[:, offset:, :, np.newaxis] * rest[:, own, np.newaxis]) * np.eye(n_outputs)
+    both = np.zeros(white.shape, dtype=np.complex128)
+    for shift in table.shifts:
+        leaks = np.stack([_leakage(table, fit, group, offset, shift) for group in groups])
+        common = _common(table, shift, offset)
+        both += (leaks * noise.share[:, np.newaxis, np.newaxis, np.newaxis] + common * white) * common.conj()
+    return both
 
 
 def lines_joined(table: ResponseLines) -> float:
@@ -392,16 +439,18 @@ def _spreads(table: ResponseLines, fit: ResponseFit, noise: Noise, several: Sequ
     alone = 1.0 if table.together else np.eye(len(noise.share))
     blocks = noise.share * table.power  # one over their number
     share = np.sqrt(np.outer(blocks, blocks)) * alone
-    power = noise.leakage * noise.share
+    power = noise.averaged * noise.share
     within = np.sqrt(noise.variance / np.maximum(noise.variance, power)).transpose(2, 0, 1)
-    for offset in range(1, min(FARTHEST, table.z.size - 1) + 1):
-        ahead, behind = _crossing(table, fit, offset)
-        for k, weight in enumerate(weights):
-            scaled = (weight * (known * within)[..., np.newaxis]).conj()
-            one = np.einsum("ilqa,lqj->lija", scaled[:, offset:], ahead, optimize=True) * share[..., np.newaxis]
-            other = np.einsum("jlqb,lqi->lijb", scaled[:, : ahead.shape[0]], behind, optimize=True)
-            part = 0.5 * np.einsum("lija,lijb->ab", one, other, optimize=True).real
-            spreads[k] += part + part.T
+    scaled = [(weight * (known * within)[..., np.newaxis]).conj() for weight in weights]
+    for offset in range(min(FARTHEST, table.z.size - 1) + 1):
+        crossed = [_crossing(table, fit, offset, shift) for shift in table.shifts]
+        for k, each in enumerate(scaled):
+            part = np.zeros_like(spreads[k])
+            for ahead, behind in crossed:
+                one = np.einsum("ilqa,lqj->lija", each[:, offset:], ahead, optimize=True) * share[..., np.newaxis]
+                other = np.einsum("jlqb,lqi->lijb", each[:, : ahead.shape[0]], behind, optimize=True)
+                part += 0.5 * np.einsum("lija,lijb->ab", one, other, optimize=True).real
+            spreads[k] += part if offset == 0 else part + part.T
     return spreads
 
 

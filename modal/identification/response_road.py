@@ -552,13 +552,13 @@ def _choices(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWi
         shown = ", ".join(f"{n}: {found.evidence[n] - best:+.3g}" for n in sorted(near))
         reason = f"least Schwarz criterion of {len(found.fits)} orders; others differ by {shown or 'nothing'}"
     choices.append(Choice(what="model order", value=str(found.order), reason=reason))
-    known = table.noise is not None
-    value = "coherence and scatter" if known else "scatter"
-    reason = (
-        "its course over the lines from the coherence, its level from the scatter about the model"
-        if known
-        else "the responses come without coherence: from their scatter about the model alone"
-    )
+    value, reason = "scatter", "the responses come without coherence: from their scatter about the model alone"
+    if table.noise is not None:
+        value = "coherence and scatter"
+        reason = "its course over the lines from the coherence, its level from the scatter about the model"
+    if table.leaks and table.lags is not None:
+        stated = "as is usual with this window" if response.overlap is None else "as stated"
+        reason += f"; of blocks that share {100 * table.overlap:.3g} % of their samples, {stated}"
     return (*choices, Choice(what="noise", value=value, reason=reason))
 
 

@@ -4,7 +4,7 @@
   type 6 and 26 are its coherence; the window is what sets 1858 state, where they agree.
 * NPZ and MAT: `frequencies` (or f, freq) [Hz], `response` (or frf, H) complex (n_lines, n_outputs, n_inputs) or
   (n_lines, n_outputs); beside them, where known, `coherence`, `n_averages`, `window`, `window_time_constant`,
-  `output_names`, `output_units`, `input_names`, `input_units`.
+  `overlap`, `output_names`, `output_units`, `input_names`, `input_units`.
 * Text tables: a column `frequency [Hz]`, then for each response two columns, `tip/hammer re [m/s^2/N]` and
   `tip/hammer im [m/s^2/N]`, or `tip/hammer magnitude [m/s^2/N]` and `tip/hammer phase [deg]`; `tip/hammer coherence`
   where it is known. Without a slash there is one input.
@@ -56,7 +56,7 @@ _PARTS = {
     **dict.fromkeys(("phase", "angle"), "phase"),
     **dict.fromkeys(("coh", "coherence"), "coherence"),
 }
-_NOTE = re.compile(r"averages (\d{1,9}); window ([a-z]+)(?: of ([0-9.e+-]+) s)?")
+_NOTE = re.compile(r"averages (\d{1,9}); window ([a-z]+)(?: of ([0-9.e+-]+) s)?(?:; overlap (0(?:[.][0-9]{1,9})?))?")
 
 
 @dataclass(slots=True)
@@ -71,6 +71,7 @@ class _Functions:
     n_averages: int | None = None
     window: ResponseWindow = "unknown"
     time_constant: float | None = None
+    overlap: float | None = None
 
 
 def read_response(
@@ -81,6 +82,7 @@ def read_response(
     window: ResponseWindow | Literal["as stated"] = "as stated",
     window_time_constant: float | None = None,
     n_averages: int | None = None,
+    overlap: float | None = None,
 ) -> FrequencyResponse:
     """The frequency responses in a file, in SI units.
 
@@ -92,6 +94,7 @@ def read_response(
         window: of the blocks that were averaged; few files state it, and damping depends on it.
         window_time_constant: [s] of an exponential window; what the file states unless given.
         n_averages: number of averages; what the file states unless given.
+        overlap: share of a block that the next one has as well; what the file states unless given.
 
     Returns:
         The responses, named after the file; NaN for an output that was not measured with a reference.
@@ -110,12 +113,13 @@ def read_response(
         raise UnreadableFileError(
             f"{path.name} is damaged or holds no frequency responses ({first_line(error)}); export it again."
         ) from error
-    if window != "as stated" or n_averages is not None or window_time_constant is not None:
+    if window != "as stated" or any(each is not None for each in (n_averages, window_time_constant, overlap)):
         found = replace(
             found,
             window=found.window if window == "as stated" else window,
             n_averages=found.n_averages if n_averages is None else n_averages,
             window_time_constant=found.window_time_constant if window_time_constant is None else window_time_constant,
+            overlap=found.overlap if overlap is None else overlap,
         )
     return found if inputs is None and outputs is None else _chosen(found, inputs, outputs)
 
@@ -206,6 +210,7 @@ def _assembled(found: _Functions, path: Path) -> FrequencyResponse:
             n_averages=found.n_averages,
             window=found.window,
             window_time_constant=found.time_constant,
+            overlap=found.overlap,
             input_names=tuple(labels),
             output_names=tuple(outputs),
             input_units=tuple(unit_names),
@@ -357,6 +362,7 @@ def _qualify(found: _Functions, responses: Iterable[Mapping[str, Any]], qualifie
         found.n_averages = int(note[0]) or None
         found.window = cast("ResponseWindow", note[1])
         found.time_constant = None if note[2] is None else _positive(note[2])
+        found.overlap = None if note[3] is None else float(note[3])
         if found.window == "exponential" and found.time_constant is None:
             found.window = "unknown"
         return
@@ -495,7 +501,7 @@ def _of_arrays(contents: Mapping[str, Content], path: Path) -> FrequencyResponse
         factors[side], units[side] = np.array([each.factor for each in turned]), [each.unit for each in turned]
     coherence = next((arrays[name] for name in ("coherence", "coh") if name in arrays), None)
     window = next(iter(texts.get("window", ["unknown"])), "unknown")
-    averages, constant = _single(arrays, "n_averages"), _single(arrays, "window_time_constant")
+    averages, constant, overlap = (_single(arrays, f) for f in ("n_averages", "window_time_constant", "overlap"))
     try:
         return FrequencyResponse(
             table * factors["output"][:, np.newaxis] / factors["input"],
@@ -504,6 +510,7 @@ def _of_arrays(contents: Mapping[str, Content], path: Path) -> FrequencyResponse
             n_averages=None if averages is None else cast("int", averages),
             window=cast("ResponseWindow", window),
             window_time_constant=constant,
+            overlap=overlap,
             output_names=tuple(texts.get("output_names", ())),
             input_names=tuple(texts.get("input_names", ())),
             output_units=tuple(units["output"]),

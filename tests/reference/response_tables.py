@@ -153,13 +153,13 @@ def distorted_chain(seed, *, cubic=0.0, friction=0.0, n_samples=1024, n_records=
     )
 
 
-def averaged(forces, outputs, window, n_samples, record=None):
-    """H1 with multiple coherence: half overlap for windows that fade, none for a uniform one.
+def averaged(forces, outputs, window, n_samples, *, record=None, step=None):
+    """H1 with multiple coherence: half overlap for windows that fade, none for a uniform one, unless told the step.
 
     Rows are records of so many samples, one after the other, which no block spans; all are one record unless given.
     """
     weight = windows.get_window("boxcar" if window == "uniform" else window, n_samples, fftbins=True)
-    step = n_samples if window == "uniform" else n_samples // 2
+    step = step or (n_samples if window == "uniform" else n_samples // 2)
     record = record or len(forces)
     starts = [k for k in range(0, len(forces) - n_samples + 1, step) if k % record + n_samples <= record]
     cut = np.array([np.hstack([forces[k : k + n_samples], outputs[k : k + n_samples]]) for k in starts])

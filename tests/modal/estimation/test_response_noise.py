@@ -91,3 +91,27 @@ def test_deviations_of_shapes_and_masses_are_how_far_repeated_tests_scatter():
         ratios = scatter[there] / deviation[there]
         assert np.sqrt(np.mean(ratios**2)) == pytest.approx(1.0, abs=0.15)
         assert (ratios < 1.7).all()
+
+
+@pytest.mark.parametrize(("overlap", "share"), [(None, 0.5), (0.5, 0.5), (0.0, 0.0), (0.75, 0.75)])
+def test_deviations_are_those_of_blocks_that_overlap(overlap, share):
+    """What one block lacks of an answer the next one has: damping is told twice as well with half overlap, not 1.4."""
+    f, damping, shape, n = np.array([20.3]), np.array([0.003]), np.array([1.0, 0.6]), 256
+    rng, found, stated = np.random.default_rng(3), [], []
+    pole = np.exp(2 * np.pi * f * (-damping + 1j * np.sqrt(1 - damping**2)) / 100.0)
+    for _ in range(120):
+        force = rng.standard_normal((8192, 1))
+        outputs = held_response(force, f, damping, np.tile(shape, 3)[:, np.newaxis], np.ones((1, 1)), dt=0.01)[:, :2]
+        outputs = outputs + 0.02 * outputs.std(axis=0) * rng.standard_normal(outputs.shape)
+        response, coherence, n_averages = averaged(force, outputs, "hann", n, step=round(n * (1 - share)))
+        grid = np.arange(n // 2 + 1) * 100.0 / n
+        known = {"coherence": coherence, "n_averages": n_averages, "window": "hann", "overlap": overlap}
+        table, _ = lines_of(FrequencyResponse(response, grid, **known), "hann")
+        start = (pole, np.ones(1, dtype=bool), np.ones((1, 1), dtype=complex))
+        fit = refined(table, start, first_weight(table), n_steps=8)
+        fit = refined(table, fit, weight_of(table, noise_of(table, fit)), n_steps=8)
+        s = np.log(fit.poles[0]) * 100.0
+        found.append([abs(s) / (2 * np.pi), -s.real / abs(s)])
+        stated.append(np.ravel(pole_deviations(table, fit, noise_of(table, fit))))
+    ratio = np.sqrt(np.mean(np.square(stated), axis=0)) / np.std(found, axis=0)
+    np.testing.assert_allclose(ratio, 1.0, atol=0.2)  # three standard errors of 120 draws
