@@ -117,7 +117,8 @@ def _spread(sources: Sources, beside: Path) -> list[Path]:
             own = [one for one in map(Path, sorted(glob.glob(source, recursive=True))) if one.is_file()]  # noqa: PTH207 - Path.glob takes no absolute pattern
         else:
             own = [path]
-        kept = {one.resolve(): one for one in own if path in own or results not in one.resolve().parents}
+        named = own == [path]  # a file, even one of the results
+        kept = {one.resolve(): one for one in own if named or results not in one.resolve().parents}
         if not kept:
             raise InvalidDataError(
                 f"{_shown(source)} holds or matches no measured file; give files, a folder, or a pattern such as "

@@ -113,6 +113,7 @@ def fit_all_rows(
     found: Search,
     *,
     n_rest: int = 0,
+    noise_free: str = "",
     refinement: Literal["auto", "none"] = "auto",
     feedback: bool = False,
     progress: Callable[[float], None] = lambda _share: None,
@@ -125,6 +126,7 @@ def fit_all_rows(
         records: that the search saw.
         found: by the search.
         n_rest: rows of rest among theirs, which hold no noise.
+        noise_free: in words, which samples hold no noise; where some do, no model of the noise is asked for.
         refinement: "none" leaves the model as OKID and ERA give it.
         feedback: the outputs seem to be fed back into the inputs.
         progress: called with the share that is behind at most, before each step.
@@ -153,6 +155,7 @@ def fit_all_rows(
                     trial,
                     start=start,
                     n_rest=n_rest,
+                    noise_free=noise_free,
                     by=found.ground.by,
                     feedback=feedback,
                     order_given=len(found.limits.model_orders) == 1,
@@ -416,6 +419,7 @@ def _refined(
     *,
     start: Realisation,
     n_rest: int,
+    noise_free: str,
     by: Folds,
     feedback: bool,
     order_given: bool,
@@ -438,7 +442,7 @@ def _refined(
         fitted,
         model,
         refined,
-        n_rest=n_rest,
+        noise_free=noise_free or ("rows of rest, which hold no noise, stand before the record" if n_rest else ""),
         feedback=feedback,
         order_given=order_given,
         progress=progress,
@@ -456,7 +460,7 @@ def _with_noise(
     model: Realisation,
     refined: RefinedModel | None,
     *,
-    n_rest: int = 0,
+    noise_free: str = "",
     feedback: bool = False,
     order_given: bool = False,
     progress: Callable[[float], None],
@@ -471,8 +475,8 @@ def _with_noise(
     made = replace(fitted, cut=model, refined=refined, gain=gain, realisation=base, feedback=found)
     if base.K is None:
         return made
-    if n_rest:
-        return replace(made, why="rows of rest, which hold no noise, stand before the record")
+    if noise_free:
+        return replace(made, why=noise_free)
     evidence = base if base.factors is not None else model
     noise, why = noise_model(
         records,

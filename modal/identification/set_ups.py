@@ -47,8 +47,9 @@ SAME_FREQUENCY = 6.0
 SAME_SHAPE = 0.8
 """and from this assurance on over the outputs of the set-up."""
 
-Again = Callable[[Sequence[Record], Sequence[int] | None], Identification]
-"""Identifies records that have all their channels, with these input delays or those that the data tell."""
+Again = Callable[..., Identification]
+"""again(records, input_delays, noise_free=words) identifies records that have all their channels, with these delays or
+None for those that the data tell; the words say which samples hold no noise, where some do."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -119,7 +120,7 @@ def identify_setups(
     for one in setups:
         for member in one.members:
             filled[member] = _completed(aligned[member], one, setups, results)
-    joint = again(filled, [0] * records[0].n_inputs)
+    joint = again(filled, [0] * records[0].n_inputs, noise_free="outputs that were simulated hold no noise")
     return _with_joint_deviations(joint, records, setups, results, said=said, warnings=warnings)
 
 

@@ -10,7 +10,9 @@ chance for the first time: at the end of the first block that the blocks since t
 
 The regression: ln f of each mode is a level and a polynomial of each cause as the structure feels it, part at once,
 part through a body that follows within hours or days (an exponential mean). Part, time constant and degree are one
-choice for all modes: that of the least error on months that were not fitted to.
+choice for all modes: that of the least error on months that were not fitted to, and of the degrees that these cannot
+tell from the best one the largest. A term too few leaves a bend that looks like a step; one too many only widens the
+deviations of the steps.
 """
 
 import math
@@ -81,9 +83,11 @@ def explain(values: FloatArray, causes: Mapping[str, FloatArray], times: FloatAr
     for _ in range(ROUNDS if len(causes) > 1 else 1):
         for name in causes:
 
-            def error(felt: _Felt, name: str = name) -> float:
-                terms = _terms(causes, {**chosen, name: felt}, times)[0]
-                return float(np.nansum(_held_out_error(values, terms, folds)))
+            def errors(felt: _Felt, name: str = name) -> FloatArray:
+                return _held_out_errors(values, _terms(causes, {**chosen, name: felt}, times)[0], folds)
+
+            def error(felt: _Felt) -> float:
+                return float(np.nansum(errors(felt)))
 
             slow = [
                 _Felt(Causes.FIRST_DEGREE, part, tau)
@@ -91,11 +95,11 @@ def explain(values: FloatArray, causes: Mapping[str, FloatArray], times: FloatAr
                 if clock
             ]
             best = min([_Felt(Causes.FIRST_DEGREE), *slow], key=error)
-            chosen[name] = min([replace(best, degree=degree) for degree in Causes.DEGREES], key=error)
+            chosen[name] = replace(best, degree=_degree([errors(replace(best, degree=n)) for n in Causes.DEGREES]))
     terms, names = _terms(causes, chosen, times)
-    alone = _held_out_error(values, terms[:, :0], folds)
+    alone = _held_out_errors(values, terms[:, :0], folds).sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        explained = 1.0 - _held_out_error(values, terms, folds) / alone
+        explained = 1.0 - _held_out_errors(values, terms, folds).sum(axis=0) / alone
     return Environment(terms=terms, names=names, explained=explained if names else np.full(values.shape[1], np.nan))
 
 
@@ -140,11 +144,28 @@ def _followed_slowly(cause: FloatArray, times: FloatArray, constant: float) -> F
     return slow
 
 
-def _held_out_error(values: FloatArray, terms: FloatArray, folds: np.ndarray) -> FloatArray:
-    """(n_modes,) mean squared error on held-out months, each mode in units of its own variance."""
+def _degree(errors: Sequence[FloatArray]) -> int:
+    """The largest degree that held-out months cannot tell from the best one; 0 where no term helps.
+
+    Args:
+        errors: of each degree from 0, (n_folds, n_modes).
+    """
+    best = int(np.argmin([np.nansum(own) for own in errors]))
+    if not best:
+        return 0
+    size = errors[best].sum(axis=0)  # each mode against what is left of it: weak terms show in the surest modes
+    for degree in range(len(errors) - 1, best, -1):
+        worse = np.nansum((errors[degree] - errors[best]) / size, axis=1)
+        if worse.sum() < math.sqrt(worse.size) * worse.std(ddof=1):  # within the deviation of the sum
+            return degree
+    return best
+
+
+def _held_out_errors(values: FloatArray, terms: FloatArray, folds: np.ndarray) -> FloatArray:
+    """(n_folds, n_modes) squared errors on each held-out month, as shares of the sum of squares of the mode."""
     design = np.hstack([np.ones((terms.shape[0], 1)), terms])
     edges = np.append(np.flatnonzero(np.diff(folds, prepend=-1)), folds.size)
-    errors = np.full(values.shape[1], np.nan)
+    errors = np.full((edges.size - 1, values.shape[1]), np.nan)
     for mode, column in enumerate(values.T):
         there = ~np.isnan(column)
         if there.sum() < 2 * design.shape[1]:
@@ -152,12 +173,11 @@ def _held_out_error(values: FloatArray, terms: FloatArray, folds: np.ndarray) ->
         y = np.where(there, column - column[there].mean(), 0.0)
         whole = np.column_stack([design * there[:, np.newaxis], y])
         grams = np.array([whole[first:last].T @ whole[first:last] for first, last in pairwise(edges)])
-        squared = 0.0
-        for own, rest in zip(grams, grams.sum(axis=0) - grams, strict=True):
+        size = max(float(y @ y), np.finfo(np.float64).tiny)
+        for fold, (own, rest) in enumerate(zip(grams, grams.sum(axis=0) - grams, strict=True)):
             coefficients = np.linalg.lstsq(rest[:-1, :-1], rest[:-1, -1], rcond=1e-12)[0]
             change = np.append(-coefficients, 1.0)
-            squared += float(change @ own @ change)
-        errors[mode] = squared / max(float(y @ y), np.finfo(np.float64).tiny)
+            errors[fold, mode] = float(change @ own @ change) / size
     return errors
 
 

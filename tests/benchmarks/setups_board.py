@@ -169,8 +169,8 @@ def identified(records):
     own, plain = [], pipeline.identify_setups
 
     def keeping(joined, again, **options):
-        def kept(*arguments):
-            own.append(again(*arguments))
+        def kept(*arguments, **named):
+            own.append(again(*arguments, **named))
             return own[-1]
 
         return plain(joined, kept, **options)

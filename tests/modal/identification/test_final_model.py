@@ -141,6 +141,20 @@ def test_an_integrator_ends_with_a_stable_model():
     assert found.chosen in found.trials
 
 
+def test_where_samples_hold_no_noise_no_model_of_it_is_asked_for():
+    """Red noise asks for one; what a set-up did not measure and a model filled in says nothing of it."""
+    rng = np.random.default_rng(8)
+    u, noise = rng.standard_normal((2, 1200))
+    pole = 0.97 * np.exp(0.5j)
+    y = scipy.signal.lfilter([0, 1.0], [1, -2 * pole.real, abs(pole) ** 2], u)
+    record = Record(u, y + scipy.signal.lfilter([1.0], [1.0, -0.9], noise), 0.1)
+    found = search([record], observer_order=8)
+    _, coloured = fit_all_rows([record], found)
+    _, told = fit_all_rows([record], found, noise_free="half of them were simulated")
+    assert coloured.noise is not None
+    assert (told.noise, told.why) == (None, "half of them were simulated")
+
+
 @pytest.mark.parametrize("seed", [0, 2])
 def test_exact_data_give_no_gain(seed):
     """There is no noise to learn it from: that of the observer belongs to another model, and may make this unstable."""
