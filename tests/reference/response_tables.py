@@ -140,9 +140,8 @@ def distorted_chain(seed, *, cubic=0.0, friction=0.0, n_samples=1024, n_records=
         outputs[:, t] = state[:, :3]
     outputs += 0.02 * outputs.std(axis=(0, 1)) * rng.standard_normal(outputs.shape)
     settled = slice(2 * n_samples, None)
-    response, coherence, n_averages = averaged(
-        drive[:, settled].reshape(-1, 1), outputs[:, settled].reshape(-1, 3), "hann", n_samples, 4 * n_samples
-    )
+    rows = drive[:, settled].reshape(-1, 1), outputs[:, settled].reshape(-1, 3)
+    response, coherence, n_averages = averaged(*rows, "hann", n_samples, record=4 * n_samples)
     return AnalysedTest(
         response=response,
         frequencies=np.arange(n_samples // 2 + 1) * fs / n_samples,

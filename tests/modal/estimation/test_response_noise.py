@@ -93,13 +93,13 @@ def test_deviations_of_shapes_and_masses_are_how_far_repeated_tests_scatter():
         assert (ratios < 1.7).all()
 
 
-@pytest.mark.parametrize(("overlap", "share"), [(None, 0.5), (0.5, 0.5), (0.0, 0.0), (0.75, 0.75)])
+@pytest.mark.parametrize(("overlap", "share"), [(None, 0.5), (0.0, 0.0), (0.75, 0.75)])
 def test_deviations_are_those_of_blocks_that_overlap(overlap, share):
     """What one block lacks of an answer the next one has: damping is told twice as well with half overlap, not 1.4."""
     f, damping, shape, n = np.array([20.3]), np.array([0.003]), np.array([1.0, 0.6]), 256
     rng, found, stated = np.random.default_rng(3), [], []
     pole = np.exp(2 * np.pi * f * (-damping + 1j * np.sqrt(1 - damping**2)) / 100.0)
-    for _ in range(120):
+    for _ in range(80):
         force = rng.standard_normal((8192, 1))
         outputs = held_response(force, f, damping, np.tile(shape, 3)[:, np.newaxis], np.ones((1, 1)), dt=0.01)[:, :2]
         outputs = outputs + 0.02 * outputs.std(axis=0) * rng.standard_normal(outputs.shape)
@@ -114,4 +114,4 @@ def test_deviations_are_those_of_blocks_that_overlap(overlap, share):
         found.append([abs(s) / (2 * np.pi), -s.real / abs(s)])
         stated.append(np.ravel(pole_deviations(table, fit, noise_of(table, fit))))
     ratio = np.sqrt(np.mean(np.square(stated), axis=0)) / np.std(found, axis=0)
-    np.testing.assert_allclose(ratio, 1.0, atol=0.2)  # three standard errors of 120 draws
+    np.testing.assert_allclose(ratio, 1.0, atol=0.25)  # three standard errors of 80 draws

@@ -36,7 +36,7 @@ def test_a_sine_is_poor_excitation():
     k = np.arange(3000)
     (finding,) = [f for f in excitation_findings([Record(np.sin(0.3 * k), np.cos(0.3 * k), 0.01)]) if f.level != "note"]
     assert finding.what == "poor excitation"
-    assert "order 2" in finding.sentence
+    assert "effects of 2 successive samples apart, and 20 are needed" in finding.sentence
 
 
 @pytest.mark.parametrize(("size", "n_found"), [(0.5, 1), (0.05, 0)])
