@@ -24,7 +24,8 @@ from typing import Any
 import numpy as np
 
 from modal.examples.story import command_line, print_written
-from modal.tracking.tracks import Tracks, track, tracks_headline, write_tracks
+from modal.tracking.page import tracks_headline, write_tracks
+from modal.tracking.tracks import Tracks, track
 from okid.arrays import FloatArray
 
 DAY = 86400.0
