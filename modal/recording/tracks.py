@@ -123,7 +123,7 @@ class FollowedModes:
         changes: by time.
         times: (n_records,) of all records, rising.
         causes: (n_records,) of each that was measured, by name.
-        remarks: sentences on how causes are felt.
+        remarks: sentences on how causes are felt; none where none helps.
         clock: what times are.
     """
 
@@ -141,6 +141,7 @@ WORDS: Final = "words"
 LOG: Final = "log"
 MODES: Final = "modes"
 CHANGES: Final = "changes"
+SHIFTS: Final = "shifts"
 ALL: Final = "all"
 CAUSES: Final = "causes"
 FREQUENCY: Final = "frequency"
@@ -183,7 +184,7 @@ class _Axis:
 
     def span(self) -> Any:
         """All of it, with a little room before and that of a key behind."""
-        low, high = (int(place) for place in self.places(self.times[[0, -1]]))
+        low, high = (int(place) for place in self.places(self.times[[0, -1]])) if self.times.size else (0, 1)
         margin = max(1, round(0.01 * (high - low)))
         behind = max(1, round(0.25 * (high - low)))
         at, key = rrb.TimeRangeBoundary, "seq" if self.kind == "record" else "nanos"
@@ -334,7 +335,7 @@ def _draw_frequency(pen: _Pen, path: str, mode: FollowedMode, found: FollowedMod
     times, values, half = mode.times[rows], mode.frequency[rows], NINETY_FIVE * mode.frequency_std[rows]
     pen.intervals(f"{path}/0_interval", times, values - half, values + half)
     pen.dots(f"{path}/1_found", times, values, name="found", colour=Palette.BLUE)
-    name = "causes and level" if found.causes else "level"
+    name = "causes and level" if found.remarks else "level"
     at = f"{path}/2_explained"
     pen.line(at, times, mode.explained[rows], name=name, colour=Palette.ORANGE, dot=THIN)
     pen.changes(f"{path}/3_changes", _since(found, mode), mode.limits)
@@ -448,9 +449,17 @@ def _tables(found: FollowedModes) -> list[tuple[str, str, dict[str, list[object]
         "explained": [mode.share for mode in found.modes],
         "remarks": ["; ".join(words for _, words in mode.moments) for mode in found.modes],
     }
-    names = ("since", "seen", "p_value", "sentence", "shifts", "shifts_std")
-    changes = {name: [getattr(one, name) for one in found.changes] for name in names}
-    return [(MODES, "Modes", modes), (CHANGES, "Changes", changes)]
+    names = ("since", "seen", "p_value", "sentence")
+    changes: dict[str, list[object]] = {name: [getattr(one, name) for one in found.changes] for name in names}
+    known = [
+        (change, mode, float(one.shifts[mode]), float(one.shifts_std[mode]))
+        for change, one in enumerate(found.changes)
+        for mode in np.flatnonzero(np.isfinite(one.shifts)).tolist()
+    ]
+    columns = zip(*known, strict=True) if known else [()] * 4
+    told = zip(("change", "track", "shift", "shift_std"), columns, strict=True)
+    shifts: dict[str, list[object]] = {name: list(values) for name, values in told}
+    return [(MODES, "Modes", modes), (CHANGES, "Changes", changes), (SHIFTS, "Shifts", shifts)]
 
 
 def _median(values: FloatArray) -> float:
@@ -490,7 +499,7 @@ def _blueprint(found: FollowedModes, axis: _Axis) -> Any:
 
 
 def _overview(found: FollowedModes, axis: _Axis) -> Any:
-    what = "What is left without the causes [%]" if found.causes else "Frequencies, off their first level [%]"
+    what = "What is left without the causes [%]" if found.remarks else "Frequencies, off their first level [%]"
     shown = _limits_of_all(found)
     views = [
         _view(f"{ALL}/frequency", "All frequencies [Hz]", axis, shown["frequency"]),
