@@ -234,9 +234,8 @@ def frequencies_in_time(
         x = along[np.searchsorted(every, one.times)]
         above.dots(x, one.frequency, role, dot=dot)
         above.line(x[:1], [np.nan], role, width=STYLE.thick, label=f"{hertz(float(np.median(one.frequency)))} Hz")
-        below.line(
-            *neighbour_means(x, 100 * one.left).T, role, width=STYLE.thin, opacity=STYLE.pale if changes else 1.0
-        )
+        means = neighbour_means(x, 100 * one.left)
+        below.line(means[:, 0], means[:, 1], role, width=STYLE.thin, opacity=STYLE.pale if changes else 1.0)
         for first, last, level in levels_between(x, one.times, [(time, shifts[number]) for time, shifts in changes]):
             below.line([first, last], [100 * level, 100 * level], role, width=STYLE.thick)
     for time in since:

@@ -81,7 +81,7 @@ class FollowedMode:
         return f"track {self.number}, {hertz(float(np.median(self.frequency)))} Hz"
 
     @property
-    def limits(self) -> tuple[float, float]:
+    def frequency_limits(self) -> tuple[float, float]:
         """Of an axis that shows its frequencies [Hz]."""
         return limits(np.concatenate([self.frequency, self.explained]), NINETY_FIVE * self.frequency_std)
 
@@ -148,30 +148,33 @@ FREQUENCY: Final = "frequency"
 DAMPING: Final = "damping"
 PER_MODE: Final = 12
 """Count so many rows for a mode in a record: twice a value, an interval of three and what is explained, and means."""
-
-
 THIN: Final = 1.0
 """Radius of the dots on a line that stands over others [points]."""
 
 
 class _Axis:
-    """The timeline: dates, time since the first record, or numbers of records where neither can be shown."""
+    """The timeline of the records: dates, time since the first, or their numbers where neither can be shown.
+
+    Attributes:
+        times: (n_records,) of all records, rising.
+        kind: what it shows.
+        name: of the timeline.
+    """
 
     def __init__(self, times: FloatArray, clock: Clock) -> None:
-        self.times, self.start = times, float(times[0]) if times.size else 0.0
+        self.times, self._start = times, float(times[0]) if times.size else 0.0
         self.kind: Clock = clock
-        if clock == "record" or np.abs(times - (self.start if clock == "seconds" else 0.0)).max(initial=0.0) > LATEST:
+        if clock == "record" or np.abs(times - (self._start if clock == "seconds" else 0.0)).max(initial=0.0) > LATEST:
             self.kind = "record"
-        self.counted = self.kind == "record" != clock
-        """Whether times beyond what Rerun holds are replaced by the number of the record."""
+        self._is_counted = self.kind == "record" and clock != "record"  # Rerun cannot hold the times
         self.name = "record" if self.kind == "record" else TIMELINE
 
     def places(self, times: npt.ArrayLike) -> npt.NDArray[np.int64]:
         """Nanoseconds, or numbers."""
         at = np.asarray(times, dtype=np.float64)
         if self.kind == "record":
-            return (np.searchsorted(self.times, at) + 1 if self.counted else np.rint(at)).astype(np.int64)
-        return np.rint(1e9 * (at - (self.start if self.kind == "seconds" else 0.0))).astype(np.int64)
+            return (np.searchsorted(self.times, at) + 1 if self._is_counted else np.rint(at)).astype(np.int64)
+        return np.rint(1e9 * (at - (self._start if self.kind == "seconds" else 0.0))).astype(np.int64)
 
     def column(self, times: npt.ArrayLike) -> Any:
         """Rerun's own column of these times."""
@@ -338,7 +341,7 @@ def _draw_frequency(pen: _Pen, path: str, mode: FollowedMode, found: FollowedMod
     name = "causes and level" if found.remarks else "level"
     at = f"{path}/2_explained"
     pen.line(at, times, mode.explained[rows], name=name, colour=Palette.ORANGE, dot=THIN)
-    pen.changes(f"{path}/3_changes", _since(found, mode), mode.limits)
+    pen.changes(f"{path}/3_changes", _since(found, mode), mode.frequency_limits)
     pen.ends(f"{path}/4_first_or_last", mode, mode.frequency)
 
 
@@ -477,7 +480,8 @@ def _blueprint(found: FollowedModes, axis: _Axis) -> Any:
     pages = [_overview(found, axis)]
     shown = list(zip(found.modes, _parts(found), strict=True))[: Views.OUTPUTS]
     frequencies = [
-        _view(f"{FREQUENCY}/{part}", f"{mode.name}: frequency [Hz]", axis, mode.limits) for mode, part in shown
+        _view(f"{FREQUENCY}/{part}", f"{mode.name}: frequency [Hz]", axis, mode.frequency_limits)
+        for mode, part in shown
     ]
     damping = [
         _view(f"{DAMPING}/{part}", f"{mode.name}: damping ratio [%]", axis, mode.damping_limits)
