@@ -4,6 +4,7 @@ import codecs
 import contextlib
 import itertools
 import re
+import shlex
 import textwrap
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,7 +21,7 @@ from modal.command.terminal import Screen, listing, plain, show_paths
 from modal.identification.order_search import choose_orders
 from modal.recording.live import estimate_recording, live_recording, log_estimate
 from modal.tracking.live import LiveEstimate, follow, growing_blocks
-from modal.tracking.tracks import TRACK_PAGE, TRACK_TABLE, moment_text, tracks_headline, write_tracks
+from modal.tracking.page import change_text, tracks_headline, write_tracks
 from modal.tracking.tracks import track as follow_modes
 from modal.wording.text import listed, shorten
 from okid.arrays import FloatArray
@@ -50,7 +51,7 @@ def track(
     ] = None,
     traceback: Traceback = False,
 ) -> None:
-    """Follow every mode through the records of a batch; write tracks.html and tracks.parquet beside them.
+    """Follow every mode through the records of a batch; write tracks.html, tracks.parquet, tracks.rrd.
 
     Exit status: 0 nothing changed beyond chance; 1 something did; 2
     wrong use or unreadable input.
@@ -58,17 +59,18 @@ def track(
     with faults(show=traceback):
         batch = Batch(folder)
         found = follow_modes(batch, causes={} if causes is None else _read_causes(causes, batch))
-        write_tracks(found, folder)
+        written = write_tracks(found, folder)
         console = Screen(highlight=False)
         console.print()
         console.print(plain(tracks_headline(found), "bold"))
-        reasons = [
-            f"since {moment_text(one.since, found)}, seen {moment_text(one.time, found)}: {one.reason}"
-            for one in found.alarms
-        ]
-        listing(console, "Changes", reasons, "yellow")
+        listing(console, "Changes", [change_text(number, found) for number in range(len(found.alarms))], "yellow")
         listing(console, "Causes", found.causes, "")
-        show_paths(console, (folder / TRACK_PAGE, "to read"), (folder / TRACK_TABLE, "the modes with their tracks"))
+        show_paths(
+            console,
+            (written.page, "to read"),
+            (written.table, "the modes with their tracks"),
+            (written.recording, f"to look at: modal-report view {shlex.quote(str(written.recording))}"),
+        )
         raise typer.Exit(1 if found.alarms else 0)
 
 

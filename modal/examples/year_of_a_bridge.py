@@ -10,8 +10,8 @@ is left is watched in all modes together: an alarm comes only from what chance d
 from the eigenvalue problem of six masses on springs, hour by hour (`numpy.linalg.eigh`), with errors as identified
 records have them, modes that are missed, and poles of no mode; nothing of the packages takes part.
 
-Run `python -m modal.examples.year_of_a_bridge [-o DIR]`; with a folder it writes the page and the table with its
-tracks.
+Run `python -m modal.examples.year_of_a_bridge [-o DIR]`; with a folder it writes the page, a recording and the table
+with its tracks.
 
 References:
     Peeters, De Roeck, One-year monitoring of the Z24-Bridge: environmental effects versus damage events, Earthquake
@@ -24,7 +24,8 @@ from typing import Any
 import numpy as np
 
 from modal.examples.story import command_line, print_written
-from modal.tracking.tracks import Tracks, track, tracks_headline, write_tracks
+from modal.tracking.page import tracks_headline, write_tracks
+from modal.tracking.tracks import Tracks, track
 from okid.arrays import FloatArray
 
 DAY = 86400.0
@@ -115,7 +116,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0 where a change was found, 1 otherwise.
     """
     what = "A year of a bridge, an identification every hour: which change is the weather, and which is damage?"
-    given = command_line(what, arguments, written="the page and the table with its tracks")
+    given = command_line(what, arguments, written="the page, a recording and the table with its tracks")
     tracks = study(np.random.default_rng(given.seed))
     print(summary(tracks))
     if given.output is not None:

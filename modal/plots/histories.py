@@ -180,6 +180,37 @@ class TrackLine(Protocol):
         ...
 
 
+def neighbour_means(x: FloatArray, values: FloatArray) -> FloatArray:
+    """(n_means, 2) means of `MEANS` neighbours, of the places and of the values; of fewer where there are few.
+
+    Example:
+        >>> neighbour_means(np.array([0.0, 1.0]), np.array([2.0, 3.0])).tolist()
+        [[0.0, 2.0], [1.0, 3.0]]
+    """
+    n_means = max(-(-x.size // MEANS), min(x.size, MEANS))
+    parts = np.array_split(np.arange(x.size), n_means) if n_means else []
+    return np.array([(x[part].mean(), values[part].mean()) for part in parts]).reshape(-1, 2)
+
+
+def levels_between(x: FloatArray, times: FloatArray, changes: Sequence[tuple[float, float]]) -> FloatArray:
+    """(n_levels, 3) from which place to which on which level of ln f; none where nothing changed.
+
+    Args:
+        x: (n_found,) places.
+        times: (n_found,) rising.
+        changes: since when, by which relative change, nan where it is not known.
+
+    Example:
+        >>> x = np.arange(4.0)
+        >>> levels_between(x, x, [(2.0, np.expm1(0.25))]).tolist()
+        [[0.0, 1.0, 0.0], [2.0, 3.0, 0.25]]
+    """
+    levels = np.cumsum([0.0, *(np.nan_to_num(np.log1p(shift)) for _, shift in changes)])
+    stretches = np.split(np.arange(x.size), np.searchsorted(times, [time for time, _ in changes])) if changes else []
+    ends = [(x[part[0]], x[part[-1]], level) for part, level in zip(stretches, levels, strict=False) if part.size]
+    return np.array(ends).reshape(-1, 3)
+
+
 def frequencies_in_time(
     tracks: Sequence[TrackLine], changes: Sequence[tuple[float, FloatArray]], *, clock: bool
 ) -> Chart:
@@ -203,15 +234,10 @@ def frequencies_in_time(
         x = along[np.searchsorted(every, one.times)]
         above.dots(x, one.frequency, role, dot=dot)
         above.line(x[:1], [np.nan], role, width=STYLE.thick, label=f"{hertz(float(np.median(one.frequency)))} Hz")
-        n_means = max(-(-x.size // MEANS), min(x.size, MEANS))
-        parts = np.array_split(np.arange(x.size), n_means) if n_means else []
-        means = [x[part].mean() for part in parts], [100 * one.left[part].mean() for part in parts]
-        below.line(*means, role, width=STYLE.thin, opacity=STYLE.pale if changes else 1.0)
-        levels = 100 * np.cumsum([0.0, *(np.nan_to_num(np.log1p(shifts[number])) for _, shifts in changes)])
-        stretches = np.split(np.arange(x.size), np.searchsorted(one.times, since)) if changes else []
-        for stretch, level in zip(stretches, levels, strict=False):
-            if stretch.size:
-                below.line([x[stretch[0]], x[stretch[-1]]], [level, level], role, width=STYLE.thick)
+        means = neighbour_means(x, 100 * one.left)
+        below.line(means[:, 0], means[:, 1], role, width=STYLE.thin, opacity=STYLE.pale if changes else 1.0)
+        for first, last, level in levels_between(x, one.times, [(time, shifts[number]) for time, shifts in changes]):
+            below.line([first, last], [100 * level, 100 * level], role, width=STYLE.thick)
     for time in since:
         for panel in (above, below):
             panel.upright(float(along[np.searchsorted(every, time)]), "residual", width=STYLE.thick)

@@ -9,28 +9,20 @@ itself tells. What follows 0.3 and 0.5 is the cost of `modal.comparison` between
 jump where the shape stays; the first term lets the nearer of two modes of one shape win. A pair is worth no more than
 1; what has no partner begins a mode, and a mode without a partner waits for the next record. Poles of a record are
 assigned together, so two modes that cross keep their shapes and do not swap.
-
-Their page shows alarms first, then a year on one picture, then the modes one by one.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from datetime import UTC, datetime
+from dataclasses import dataclass, field
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
-from modal.batch.tables import Batch, part_file
+from modal.batch.tables import Batch
 from modal.comparison.shifts import DOUBT, POLE_SCALE, SHAPE_SCALE, TOO_FAR, Shift
 from modal.comparison.words import percent_text
-from modal.plots.histories import frequencies_in_time
-from modal.report.pages import environment, inline
-from modal.report.pictures import drawn
-from modal.sections.provenance import installed_version
 from modal.tracking.alarms import LEVEL, LevelChange, enough_records, explain, find_changes
 from modal.wording.text import NINETY_FIVE, hertz, listed, shorten
 from okid.arrays import BoolArray, ComplexArray, FloatArray, frozen
@@ -101,6 +93,8 @@ class Tracks(Displayed):
         clock: times are seconds; else numbers of records from 1, because they have no times of their own.
         records: names of all records, in their order.
         enough: there are enough records to tell a change from chance; no alarm says nothing where there are not.
+        times: (n_seen,) of the records with poles, rising [s], or their numbers.
+        measured: (n_seen,) of each cause that was given, by its name, at these times.
     """
 
     modes: Any
@@ -110,6 +104,8 @@ class Tracks(Displayed):
     clock: bool
     records: tuple[str, ...] = ()
     enough: bool = False
+    times: FloatArray = field(default_factory=lambda: np.zeros(0))
+    measured: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"Tracks({len(self.tracks)} modes in {self.modes.num_rows} poles, {len(self.alarms)} alarms)"
@@ -149,6 +145,7 @@ def track(batch_or_table: Any, *, causes: Mapping[str, npt.ArrayLike] | None = N
     place = np.full(len(names), -1, dtype=np.intp)
     place[order] = np.arange(order.size)
     times: FloatArray = starts[order] if clock else order.astype(np.float64) + 1.0
+    causes_in_order = {name: cause[order] for name, cause in given.items()}
     frequency = np.asarray(table.column("frequency").to_numpy(zero_copy_only=False), dtype=np.float64)
     verdict = np.asarray(table.column("verdict").to_pylist(), dtype=np.str_)
     owner = np.full(frequency.size, -1, dtype=np.intp)
@@ -156,13 +153,21 @@ def track(batch_or_table: Any, *, causes: Mapping[str, npt.ArrayLike] | None = N
     rows = rows[np.argsort(place[record[rows]], kind="stable")]
     if not rows.size:
         modes = _with_tracks(table, owner)
-        return Tracks(modes=modes, tracks=(), alarms=(), causes=(), clock=clock, records=tuple(names))
+        return Tracks(
+            modes=modes,
+            tracks=(),
+            alarms=(),
+            causes=(),
+            clock=clock,
+            records=tuple(names),
+            times=times,
+            measured=causes_in_order,
+        )
     owner[rows] = followed(place[record[rows]], frequency[rows], _shapes(table)[rows], verdict[rows] == "doubtful")
     n_tracks = int(owner.max(initial=-1)) + 1
     values = np.full((order.size, n_tracks), np.nan)
     mine = owner >= 0
     values[place[record[mine]], owner[mine]] = np.log(frequency[mine])
-    causes_in_order = {name: cause[order] for name, cause in given.items()}
     environment = explain(values, causes_in_order, times, clock=clock)
     changes, left = find_changes(values, environment.terms, times, clock=clock)
     if changes and environment.terms.size:  # a large step bends how the causes seem to be felt, and so hides itself
@@ -177,6 +182,8 @@ def track(batch_or_table: Any, *, causes: Mapping[str, npt.ArrayLike] | None = N
         enough=enough_records(times, clock=clock),
         clock=clock,
         records=tuple(names),
+        times=times,
+        measured=causes_in_order,
     )
 
 
@@ -476,102 +483,3 @@ def _numbered(
     final[lasting[np.argsort(medians, kind="stable")]] = np.arange(lasting.size)
     numbered: IndexArray = final[owner]
     return numbered
-
-
-TRACK_PAGE, TRACK_TABLE = "tracks.html", "tracks.parquet"
-EPOCH_FROM = 1e9
-"""Read times from here on as seconds since 1970, which that is in 2001: no record lasts so long."""
-
-
-def moment_text(time: float, tracks: Tracks) -> str:
-    """A time as a date, as days since the first record, or as the number and name of a record."""
-    if not tracks.clock:
-        name = tracks.records[int(time) - 1] if 0 < time <= len(tracks.records) else ""
-        return f"record {time:.0f}{f' ({shorten(name, 40)})' if name else ''}"
-    if time >= EPOCH_FROM:
-        return datetime.fromtimestamp(time, tz=UTC).strftime("%Y-%m-%d %H:%M")
-    start = min(float(one.times[0]) for one in tracks.tracks)
-    return f"day {(time - start) / 86400.0:.1f}"
-
-
-def tracks_headline(tracks: Tracks) -> str:
-    """What was found, in one sentence."""
-    modes = f"{len(tracks.tracks)} mode{'s' * (len(tracks.tracks) != 1)} followed"
-    if not tracks.alarms and not tracks.enough:
-        return f"{modes}; too few records to tell a change from chance."
-    if not tracks.alarms:
-        return f"{modes}; nothing changed beyond chance."
-    n = len(tracks.alarms)
-    first = moment_text(tracks.alarms[0].since, tracks)
-    return f"{modes}; {n} change{'s' * (n != 1)} beyond chance, {'the first ' * (n != 1)}since {first}."
-
-
-def _verdict(tracks: Tracks) -> tuple[str, str]:
-    """Class of the style sheet, and words."""
-    if tracks.alarms:
-        return "not-carried", "Something changed"
-    return ("carried", "No change beyond chance") if tracks.enough else ("with-care", "Too few records to tell")
-
-
-def _explained(share: float) -> str:
-    if not np.isfinite(share):
-        return "–"
-    return f"{100 * share:.1f} %" if share > 0.0 else "nothing"
-
-
-def _caption(tracks: Tracks) -> str:
-    causes = ", ".join(tracks.causes) or "none was given, or none helps"
-    marked = " Upright lines: since when something changed; level ones: how far." if tracks.alarms else ""
-    return (
-        "Above, a dot for each mode in each record; below, how far each frequency is off its level before the first "
-        f"change once the causes ({causes}) are taken off, as means of neighbouring records.{marked}"
-    )
-
-
-def write_tracks(tracks: Tracks, folder: Path) -> tuple[Path, Path]:
-    """Write tracks.html and tracks.parquet (the table of modes with a column "track").
-
-    Raises:
-        InvalidDataError: the folder cannot be written.
-    """
-    import pyarrow.parquet as pq
-
-    rows = []
-    for one in tracks.tracks:
-        middle = float(np.median(one.frequency))
-        rows.append(
-            (
-                one.number,
-                hertz(middle),
-                f"{one.frequency.size} of {len(tracks.records)}",
-                f"{100 * (one.frequency.min() / middle - 1):+.2f} to {100 * (one.frequency.max() / middle - 1):+.2f} %",
-                _explained(one.explained),
-                "; ".join(
-                    f"{word} {moment_text(time, tracks)}"
-                    for word, time in (("first seen", one.born), ("last seen", one.died))
-                    if time is not None
-                ),
-            )
-        )
-    chart = frequencies_in_time(tracks.tracks, [(one.since, one.shifts) for one in tracks.alarms], clock=tracks.clock)
-    text = (
-        environment(html=True)
-        .get_template("tracks.html.j2")
-        .render(
-            headline=tracks_headline(tracks),
-            verdict=_verdict(tracks),
-            alarms=[
-                (moment_text(one.since, tracks), moment_text(one.time, tracks), one.reason) for one in tracks.alarms
-            ],
-            pictures={"tracks": inline(drawn(chart, "tracks", _caption(tracks)))},
-            clock=tracks.clock,
-            rows=rows,
-            remarks=any(row[-1] for row in rows),
-            version=installed_version(),
-        )
-    )
-    with part_file(folder / TRACK_PAGE) as part:
-        part.write_bytes((text + "\n").encode("utf-8"))
-    with part_file(folder / TRACK_TABLE) as part:
-        pq.write_table(tracks.modes, part)
-    return folder / TRACK_PAGE, folder / TRACK_TABLE

@@ -8,7 +8,8 @@ from bridge_year import DAY, HOUR, as_table, bridge_year
 
 import modal
 from modal.command.main import status as _status
-from modal.tracking.tracks import _shapes, tracks_headline, write_tracks
+from modal.tracking.page import tracks_headline, write_tracks
+from modal.tracking.tracks import _shapes
 from okid.errors import InvalidDataError
 
 
