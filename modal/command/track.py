@@ -21,7 +21,7 @@ from modal.command.terminal import Screen, listing, plain, show_paths
 from modal.identification.order_search import choose_orders
 from modal.recording.live import estimate_recording, live_recording, log_estimate
 from modal.tracking.live import LiveEstimate, follow, growing_blocks
-from modal.tracking.page import change_text, tracks_headline, write_tracks
+from modal.tracking.page import alarm_text, tracks_headline, write_tracks
 from modal.tracking.tracks import track as follow_modes
 from modal.wording.text import listed, shorten
 from okid.arrays import FloatArray
@@ -63,7 +63,7 @@ def track(
         console = Screen(highlight=False)
         console.print()
         console.print(plain(tracks_headline(found), "bold"))
-        listing(console, "Changes", [change_text(number, found) for number in range(len(found.alarms))], "yellow")
+        listing(console, "Changes", [alarm_text(number, found) for number in range(len(found.alarms))], "yellow")
         listing(console, "Causes", found.causes, "")
         show_paths(
             console,

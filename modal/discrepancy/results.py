@@ -200,7 +200,7 @@ def something(test: LackOfFit) -> str:
     return f"something that depends on the {test.kind} {at}"
 
 
-def left_over(test: LackOfFit) -> str:
+def worst_text(test: LackOfFit) -> str:
     """The same with its size; but the filter that makes noise white takes most of what no law describes."""
     size = "" if test.follows else f", {percent(test.size)} of the outputs"
     return f"{something(test)} is left{size}"

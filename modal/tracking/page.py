@@ -149,7 +149,7 @@ def _moments(one: Track, tracks: Tracks) -> Iterator[tuple[float, str]]:
         yield time, f"{name} {word} {moment_text(time, tracks)}"
 
 
-def change_text(number: int, tracks: Tracks) -> str:
+def alarm_text(number: int, tracks: Tracks) -> str:
     """What an alarm says, with its times."""
     one = tracks.alarms[number]
     return f"since {moment_text(one.since, tracks)}, seen {moment_text(one.time, tracks)}: {one.reason}"
@@ -192,7 +192,7 @@ def _recorded(tracks: Tracks) -> FollowedModes:
             since=one.since,
             seen=one.time,
             p_value=one.p_value,
-            sentence=change_text(number, tracks),
+            sentence=alarm_text(number, tracks),
             shifts=one.shifts,
             shifts_std=one.shifts_std,
         )

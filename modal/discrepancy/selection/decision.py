@@ -29,7 +29,7 @@ from modal.discrepancy.fitting.nodes import (
     needed_masses,
 )
 from modal.discrepancy.fitting.observed_fits import CLEAR
-from modal.discrepancy.results import EVEN, Finding, LackOfFit, LawCurve, left_over, masses_text, worst_left
+from modal.discrepancy.results import EVEN, Finding, LackOfFit, LawCurve, masses_text, worst_left, worst_text
 from modal.discrepancy.selection.beam import search_effects
 from modal.discrepancy.selection.form_free import CurveSearch
 from modal.discrepancy.selection.lack_of_fit import SLIGHT, lack_of_fit, undecided_laws, what_is_left
@@ -289,7 +289,7 @@ def _only_masses(best: Node, root: Node, nodes: Sequence[Node], task: Task) -> D
             f"{times_floor_text(best.held_out_level if held else best.fit_level)} times the noise floor"
         )
     elif worst is not None:
-        reasons.append(f"beside {others}, {left_over(worst)}")
+        reasons.append(f"beside {others}, {worst_text(worst)}")
     before = len(root.effects)
     return Decision(
         status="unresolved" if reasons else "none",
@@ -388,7 +388,7 @@ def _nothing(root: Node, task: Task) -> Decision:
         return _absorbed(root, absorbed)
     tests = lack_of_fit(root, task)
     worst = worst_left(tests)
-    words = "" if worst is None else left_over(worst)
+    words = "" if worst is None else worst_text(worst)
     if explained:
         left = (f"no effect that was tried counts, but {words}",) if words else ()
         status: Literal["none", "unresolved"] = "unresolved" if left else "none"

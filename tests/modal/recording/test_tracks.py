@@ -11,7 +11,7 @@ from bridge_year import DAY, HOUR, as_table, bridge_year
 
 import modal
 from modal.recording.series import DiskBudget
-from modal.tracking.page import change_text, moment_text, write_tracks
+from modal.tracking.page import alarm_text, moment_text, write_tracks
 from okid.errors import InvalidDataError
 
 N_RECORDS = 960  # the change at half of it begins a day, as an alarm does
@@ -119,8 +119,8 @@ def test_changes_are_marks_with_their_sentences_in_a_log(tracks, stored):
     log = stored.rows("/log", "time")
     assert list(log) == sorted(log)
     said = [(row["TextLog:text"][0], row["TextLog:level"][0]) for row in log.values()]
-    assert (change_text(0, tracks), "WARN") in said
-    assert alarm.reason in change_text(0, tracks)
+    assert (alarm_text(0, tracks), "WARN") in said
+    assert alarm.reason in alarm_text(0, tracks)
     text = stored.static("/words", "TextDocument:text")[0]
     assert "4 modes followed; 1 change beyond chance" in text
     assert "temperature" in text
