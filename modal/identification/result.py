@@ -163,6 +163,7 @@ SCHEMA_VERSION = 1
 _TEXT = "result.json"
 _MOST_TEXT = 1 << 27
 """Bytes of JSON text that are read at most: 128 MiB, some hundred times a large result's."""
+_AS_THEY_ARE = {str, bool, int, types.NoneType}
 _DTYPES = {np.dtype(name) for name in ("bool", "int32", "int64", "float64", "complex128")}
 
 
@@ -248,8 +249,8 @@ def read_part(given: Any, name: str, kind: type[Any]) -> Any:
 
 
 def _encode(value: Any, arrays: dict[int, tuple[str, npt.NDArray[Any]]]) -> Any:
-    if is_dataclass(value) and not isinstance(value, type):
-        return {field.name: _encode(getattr(value, field.name), arrays) for field in fields(value)}
+    if type(value) in _AS_THEY_ARE:  # most are: a result has a thousand values
+        return value
     if isinstance(value, np.ndarray):
         if value.dtype not in _DTYPES:
             raise InvalidDataError(f"arrays of {value.dtype} cannot be saved; use float64 or complex128.")
@@ -259,14 +260,14 @@ def _encode(value: Any, arrays: dict[int, tuple[str, npt.NDArray[Any]]]) -> Any:
         return [_encode(item, arrays) for item in value]
     if isinstance(value, complex):
         return [_encode_scalar(value.real), _encode_scalar(value.imag)]
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: _encode(getattr(value, field.name), arrays) for field in fields(value)}
     return _encode_scalar(value)
 
 
 def _encode_scalar(value: Any) -> Any:
-    if value is None or isinstance(value, str | bool):
-        return value
-    if isinstance(value, np.bool_):
-        return bool(value)
+    if isinstance(value, str | np.bool_):
+        return str(value) if isinstance(value, str) else bool(value)
     if isinstance(value, int | np.integer):
         return int(value)
     if isinstance(value, float):
