@@ -175,7 +175,7 @@ class FrequencyResponse(Displayed):
 def _share(overlap: float) -> float:
     share = real_number(overlap)
     if not 0 <= share < 1:
-        raise InvalidDataError(f"overlap must be a share in [0, 1), but is {overlap!r}.")
+        raise InvalidDataError(f"overlap must be a share in [0, 1), 0.5 for 50 %, but is {overlap!r}.")
     return share
 
 

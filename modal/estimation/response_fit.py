@@ -39,6 +39,8 @@ MOST_DAMPING = 1e6
 """Stop where no step gains although it is as short as this many times the curvature makes it."""
 LEAST_START = 1e-3
 """Start no pole with a shorter memory than a thousandth a step."""
+MOST_BLOCKS = 32
+"""Count so many blocks within the length of one: what closer ones add is the sum of these on a finer grid, a factor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -123,11 +125,11 @@ class ResponseLines:
 
     @property
     def shifts(self) -> tuple[int, ...]:
-        """Samples from a block to those that share samples with it, itself among them."""
+        """Samples from a block to those that share samples with it, itself among them; of many, `MOST_BLOCKS` apart."""
         if self.lags is None or not self.leaks:
             return (0,)
         n = self.lags.size
-        step = max(1, round(n * (1 - self.overlap)))
+        step = max(round(n * (1 - self.overlap)), -(-n // MOST_BLOCKS))
         return tuple(range(-((n - 1) // step) * step, n, step))
 
     @staticmethod

@@ -32,6 +32,8 @@ FARTHEST = 8
 
 DRAWN = 20
 """Hold what a model leaves against so many draws, which give their deviation to a sixth."""
+MOST_WEIGHTS = 2**23
+"""Hold so many complex weights of sums of errors at once, 134 MB and two copies, or those of a part of one mode."""
 SURE = 5.0
 """Call a ratio of variances another than 1 from so many standard deviations: one of 10^6 by chance."""
 
@@ -475,36 +477,55 @@ def residue_deviations(
         the frequency in it is known far better, and left out.
     """
     n_outputs, _, n_lines, n_inputs, n_free = fit.slopes.shape
-    inverse, steps = _inverse_curvature(fit), fit.slopes.reshape(n_outputs, -1, n_free)
-    by_step = steps @ inverse
-    weight = np.where(table.known, 1 / np.sqrt(noise.variance), 0.0)
-    columns = linear_columns(table, fit)
-    changes = []
-    for pole in poles:
-        rows = [pole, fit.poles.size + int(np.searchsorted(np.flatnonzero(fit.is_pair), pole))]
-        sums = np.zeros((n_outputs, steps.shape[1], n_outputs + n_inputs), dtype=np.complex128)
-        for o, c in enumerate(fit.shapes[:, pole]):
-            answer = (fit.answers[o][rows[0]] + 1j * fit.answers[o][rows[1]]) / _nonzero(c)
-            sums[..., o] -= by_step @ answer
-            own = (np.tile(weight[:, o].ravel(), 2)[:, np.newaxis] * columns) @ fit.inverse[o][:, rows]
-            sums[o, :, o] += (own[:, 0] + 1j * own[:, 1]) / _nonzero(c)
-        for i in range(n_inputs):
-            moved = participation_moved(fit, pole, i) / _nonzero(fit.inputs[pole, i])
-            sums[..., n_outputs + i] = by_step @ moved
-        changes.append(np.concatenate([sums.real, sums.imag], axis=-1))
-    shape = (n_outputs, 2, n_lines, n_inputs, -1)
-    spreads = _spreads(table, fit, noise, [each.reshape(shape) for each in changes])
-    found, n = [], n_outputs + n_inputs
-    for pole, change, spread in zip(poles, changes, spreads, strict=True):
-        flat = change.reshape(-1, change.shape[-1])
-        both = spread, 0.5 * flat.T @ flat / lines_joined(table)
-        sizes = np.abs(fit.shapes[:, pole] * table.output_scale)
-        unit, largest = np.eye(n), int(sizes.argmax())
-        apart = unit[:n_outputs] - unit[largest]
-        of_mass = (unit[:n_outputs] - 2.0 * unit[largest])[:, np.newaxis] - unit[n_outputs:]
-        relative = _variance(apart, both, slice(n)) + _variance(apart, both, slice(n, 2 * n))
-        found.append((np.sqrt(relative) * sizes / sizes[largest], np.sqrt(_variance(of_mass, both, slice(n)))))
-    return found
+    by_step = fit.slopes.reshape(n_outputs, -1, n_free) @ _inverse_curvature(fit)
+    weight = np.where(table.known, 1 / np.sqrt(noise.variance), 0.0).transpose(1, 0, 2).reshape(n_outputs, -1)
+    own = np.tile(weight, 2)[..., np.newaxis] * linear_columns(table, fit)
+    shapes, masses = np.zeros((len(poles), n_outputs)), np.zeros((len(poles), n_outputs, n_inputs))
+    most = max(1, n_free // 2 - n_inputs - 1)  # outputs at a time: their sums have no more weights than slopes are
+    parts = np.array_split(np.arange(n_outputs), -(-n_outputs // most))
+    sizes = np.abs(fit.shapes[:, poles] * table.output_scale[:, np.newaxis]).T
+    asked = [
+        (k, [int(sizes[k].argmax()), *part[part != sizes[k].argmax()].tolist()])
+        for k in range(len(poles))
+        for part in parts
+    ]
+    n_together = max(1, MOST_WEIGHTS // (n_outputs * n_lines * n_inputs * 2 * (len(parts[0]) + 1 + n_inputs)))
+    for first in range(0, len(asked), n_together):
+        batch = asked[first : first + n_together]
+        changes = [_residue_changes(fit, by_step, own, poles[k], of) for k, of in batch]
+        spreads = _spreads(table, fit, noise, changes)
+        for (k, outputs), change, spread in zip(batch, changes, spreads, strict=True):
+            flat = change.reshape(-1, change.shape[-1])
+            both = spread, 0.5 * flat.T @ flat / lines_joined(table)
+            n, n_asked = len(outputs) + n_inputs, len(outputs)
+            unit = np.eye(n)
+            apart = unit[:n_asked] - unit[0]
+            of_mass = (unit[:n_asked] - 2.0 * unit[0])[:, np.newaxis] - unit[n_asked:]
+            shapes[k, outputs] = _variance(apart, both, slice(n)) + _variance(apart, both, slice(n, 2 * n))
+            masses[k, outputs] = _variance(of_mass, both, slice(n))
+    relative = sizes / sizes.max(axis=1, keepdims=True, initial=TINY)
+    return list(zip(np.sqrt(shapes) * relative, np.sqrt(masses), strict=True))
+
+
+def _residue_changes(
+    fit: ResponseFit, by_step: FloatArray, columns: FloatArray, pole: int, asked: Sequence[int]
+) -> FloatArray:
+    """Weights, shaped as slopes, of the errors in sums: relative changes of a pole's shape, then of its participations.
+
+    Of the outputs that are asked for, and of all inputs; real parts of them all, then the imaginary ones.
+    """
+    n_outputs, _, n_lines, n_inputs, _ = fit.slopes.shape
+    rows = [pole, fit.poles.size + int(np.searchsorted(np.flatnonzero(fit.is_pair), pole))]
+    sums = np.zeros((n_outputs, by_step.shape[1], len(asked) + n_inputs), dtype=np.complex128)
+    for k, o in enumerate(asked):
+        c = _nonzero(fit.shapes[o, pole])
+        sums[..., k] -= by_step @ ((fit.answers[o][rows[0]] + 1j * fit.answers[o][rows[1]]) / c)
+        own = columns[o] @ fit.inverse[o][:, rows]
+        sums[o, :, k] += (own[:, 0] + 1j * own[:, 1]) / c
+    for i in range(n_inputs):
+        moved = participation_moved(fit, pole, i) / _nonzero(fit.inputs[pole, i])
+        sums[..., len(asked) + i] = by_step @ moved
+    return np.concatenate([sums.real, sums.imag], axis=-1).reshape(n_outputs, 2, n_lines, n_inputs, -1)
 
 
 def _variance(weights: FloatArray, covariances: Sequence[FloatArray], part: slice) -> FloatArray:

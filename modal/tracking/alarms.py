@@ -42,6 +42,8 @@ class Causes:
 
 MONTH = 30.44 * 86400.0
 FEWEST_FOLDS = 5
+FEWEST_A_TERM = 2
+"""Fit terms to a mode that was found in so many records for each of them; to others none."""
 ROUNDS = 2
 """Choose each cause's terms anew, given those of the others, so many times."""
 
@@ -79,12 +81,13 @@ def explain(values: FloatArray, causes: Mapping[str, FloatArray], times: FloatAr
         clock: times are seconds: only then can a body be slow.
     """
     folds = held_out_months(times, clock=clock)
+    compared = _fitted_by_all(values, n_causes=len(causes))
     chosen = dict.fromkeys(causes, _Felt())
     for _ in range(ROUNDS if len(causes) > 1 else 1):
         for name in causes:
 
             def errors(felt: _Felt, name: str = name) -> FloatArray:
-                return _held_out_errors(values, _terms(causes, {**chosen, name: felt}, times)[0], folds)
+                return _held_out_errors(compared, _terms(causes, {**chosen, name: felt}, times)[0], folds)
 
             def error(felt: _Felt) -> float:
                 return float(np.nansum(errors(felt)))
@@ -144,6 +147,16 @@ def _followed_slowly(cause: FloatArray, times: FloatArray, constant: float) -> F
     return slow
 
 
+def _fitted_by_all(values: FloatArray, *, n_causes: int) -> FloatArray:
+    """(n_records, n_compared) of the modes that move, and were found often enough for the most terms that are tried.
+
+    A mode that only few terms can be fitted to would make many look better, by no error of its own where they are.
+    """
+    n_found = (~np.isnan(values)).sum(axis=0)
+    found = values[:, n_found >= FEWEST_A_TERM * (1 + max(Causes.DEGREES) * n_causes)]
+    return np.asarray(found[:, np.nanmax(found, axis=0) > np.nanmin(found, axis=0)], dtype=np.float64)
+
+
 def _degree(errors: Sequence[FloatArray]) -> int:
     """The largest degree that held-out months cannot tell from the best one; 0 where no term helps.
 
@@ -168,7 +181,7 @@ def _held_out_errors(values: FloatArray, terms: FloatArray, folds: np.ndarray) -
     errors = np.full((edges.size - 1, values.shape[1]), np.nan)
     for mode, column in enumerate(values.T):
         there = ~np.isnan(column)
-        if there.sum() < 2 * design.shape[1]:
+        if there.sum() < FEWEST_A_TERM * design.shape[1]:
             continue
         y = np.where(there, column - column[there].mean(), 0.0)
         whole = np.column_stack([design * there[:, np.newaxis], y])

@@ -205,7 +205,7 @@ def _recorded(tracks: Tracks) -> FollowedModes:
         changes=tuple(changes),
         times=tracks.times,
         causes=tracks.measured,
-        remarks=tuple(f"Frequencies follow {cause}." for cause in tracks.causes),
+        remarks=tuple(f"Taken off the frequencies: what follows {cause}." for cause in tracks.causes),
         clock=clock,
     )
 

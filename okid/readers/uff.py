@@ -334,7 +334,7 @@ def _set_58(response: FrequencyResponse, output: int, input_: int, values: Compl
     names = response.output_names[output], response.input_names[input_]
     units = response.output_units[output], response.input_units[input_]
     constant = "" if response.window_time_constant is None else f" of {response.window_time_constant:.9g} s"
-    shared = "" if response.overlap is None else f"; overlap {response.overlap:.6f}"
+    shared = "" if response.overlap is None else f"; overlap {min(response.overlap, 0.999999):.6f}"
     note = f"averages {response.n_averages or 0}; window {response.window}{constant}{shared}"
     nodes = "".join(f" {'NONE':10s}{node:10d}{direction:4d}" for node, direction in map(_node, names))
     even = spacing > 0

@@ -1,5 +1,8 @@
 """What the errors of a table of several references are made of, against forces whose powers are known."""
 
+import tracemalloc
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from response_tables import averaged, drawn_structure, held_response
@@ -115,3 +118,33 @@ def test_deviations_are_those_of_blocks_that_overlap(overlap, share):
         stated.append(np.ravel(pole_deviations(table, fit, noise_of(table, fit))))
     ratio = np.sqrt(np.mean(np.square(stated), axis=0)) / np.std(found, axis=0)
     np.testing.assert_allclose(ratio, 1.0, atol=0.25)  # three standard errors of 80 draws
+
+
+def test_deviations_of_shapes_do_not_hold_the_weights_of_all_modes_at_once(driven, monkeypatch):
+    """20 outputs, 2 references, 513 lines and 12 poles took half a gigabyte, and 8193 lines would take eight."""
+    table, fit, _ = driven
+    noise = noise_of(table, fit)
+    monkeypatch.setattr("modal.estimation.response_noise.MOST_WEIGHTS", 1)
+    tracemalloc.start()
+    apart = residue_deviations(table, fit, noise, range(5))
+    peaks = [tracemalloc.get_traced_memory()[1]]
+    monkeypatch.undo()
+    tracemalloc.reset_peak()
+    together = residue_deviations(table, fit, noise, range(5))
+    peaks.append(tracemalloc.get_traced_memory()[1])
+    tracemalloc.stop()
+    assert peaks[0] < 0.5 * peaks[1]
+    for one, other in zip(apart, together, strict=True):
+        for part in (0, 1):
+            np.testing.assert_allclose(one[part], other[part], rtol=1e-9, atol=1e-15)
+
+
+def test_blocks_that_overlap_almost_wholly_are_counted_on_a_grid(driven):
+    """Each of 1000 blocks within the length of one cost as much as the first, and said nothing new."""
+    table, fit, _ = driven
+    stated = []
+    for overlap in (0.95, 0.96, 0.9999):
+        closer = replace(table, overlap=overlap)
+        assert len(closer.shifts) < 64
+        stated.append(pole_deviations(closer, fit, noise_of(closer, fit)))
+    np.testing.assert_allclose(stated[1:], [stated[0]] * 2, rtol=1e-3)

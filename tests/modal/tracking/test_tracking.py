@@ -107,6 +107,38 @@ def test_a_bend_that_held_out_records_cannot_exclude_is_taken_off():
         assert not found.alarms
 
 
+@pytest.mark.parametrize("seed", range(9311, 9317))
+def test_a_mode_of_few_records_has_no_say_in_what_a_cause_explains(seed):
+    """Terms too many for it left it out of the sum of errors, so that the most terms seemed to leave the least."""
+    rng = np.random.default_rng(seed)
+    temperature, shapes = rng.uniform(-5.0, 25.0, 300), (*SHAPES, (0.2, 0.5, -1.0))
+    noise = 1.0 + 2e-4 * rng.standard_normal((300, 2))
+    lasting = np.array([4.4, 12.4]) * (1.0 - 1e-4 * temperature)[:, np.newaxis] * noise
+    brief = np.full((300, 1), np.nan)
+    brief[100:108, 0] = 30.0 + 0.01 * rng.standard_normal(8)
+    alone = modal.track(table_of(lasting, SHAPES), causes={"temperature": temperature})
+    beside = modal.track(table_of(np.hstack([lasting, brief]), shapes), causes={"temperature": temperature})
+    assert len(beside.tracks) == 3
+    assert beside.causes == alone.causes
+
+
+def test_nine_records_follow_no_cause():
+    frequencies = np.array([4.4, 12.4]) * (1.0 + 1e-4 * np.random.default_rng(9312).standard_normal((9, 2)))
+    found = modal.track(table_of(frequencies, SHAPES), causes={"temperature": np.linspace(0.0, 9.0, 9) ** 1.5})
+    assert found.causes == ()
+
+
+def test_a_frequency_that_never_moves_has_no_say_in_what_a_cause_explains():
+    rng = np.random.default_rng(9313)
+    temperature = rng.uniform(-5.0, 25.0, 200)
+    moving = 4.4 * (1.0 - 1e-4 * temperature) * (1.0 + 2e-4 * rng.standard_normal(200))
+    alone = modal.track(table_of(moving[:, np.newaxis], SHAPES[:1]), causes={"temperature": temperature})
+    for still in (1.0, 12.4):
+        both = np.column_stack([moving, np.full(200, still)])
+        beside = modal.track(table_of(both, SHAPES), causes={"temperature": temperature})
+        assert beside.causes == alone.causes
+
+
 def test_a_jump_that_stays_is_a_change_and_a_pole_beside_is_not():
     rng = np.random.default_rng(3)
     frequencies = np.array([2.0, 3.1]) * (1.0 + 1e-3 * rng.standard_normal((1000, 2)))

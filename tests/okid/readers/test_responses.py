@@ -1,5 +1,7 @@
 """Frequency responses from files: what is written is read again, and damage is said."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.io
@@ -48,6 +50,22 @@ def test_a_universal_file_gives_back_what_was_written(table, tmp_path):
         write_response(table, path)
     with pytest.raises(UnreadableFileError, match="frequency response function"):
         read_record(path)
+
+
+@pytest.mark.parametrize("overlap", [None, 0.0, 0.5, 2 / 3, 0.99999999])
+def test_a_universal_file_keeps_how_far_blocks_overlap(overlap, table, tmp_path):
+    again = read_response(write_response(replace(table, overlap=overlap), tmp_path / "frf.uff"))
+    assert again.overlap == (None if overlap is None else pytest.approx(overlap, abs=1.1e-6))
+    assert (again.window, again.n_averages) == ("hann", 40)
+
+
+def test_an_overlap_in_percent_is_refused_with_the_share_that_it_is(table, tmp_path):
+    np.savez(tmp_path / "frf.npz", f=LINES, frf=table.response, overlap=50)
+    for wrong in (lambda: replace(table, overlap=50), lambda: read_response(tmp_path / "frf.npz")):
+        with pytest.raises(InvalidDataError, match=r"0\.5 for 50 %"):
+            wrong()
+    np.savez(tmp_path / "frf.npz", f=LINES, frf=table.response, overlap=0.75)
+    assert read_response(tmp_path / "frf.npz").overlap == 0.75
 
 
 def test_uneven_lines_and_single_coherences_are_kept(table, tmp_path):
