@@ -510,7 +510,7 @@ def _of_arrays(contents: Mapping[str, Content], path: Path) -> FrequencyResponse
             n_averages=None if averages is None else cast("int", averages),
             window=cast("ResponseWindow", window),
             window_time_constant=constant,
-            overlap=overlap,
+            overlap=overlap if overlap is not None and 0 <= overlap < 1 else None,  # else of another meaning
             output_names=tuple(texts.get("output_names", ())),
             input_names=tuple(texts.get("input_names", ())),
             output_units=tuple(units["output"]),
