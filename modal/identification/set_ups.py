@@ -21,9 +21,8 @@ References:
     International Modal Analysis Conference, 2009 (PoSER, PreGER).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -48,15 +47,9 @@ SAME_FREQUENCY = 6.0
 SAME_SHAPE = 0.8
 """and from this assurance on over the outputs of the set-up."""
 
-
-class Again(Protocol):
-    """Identifies records that have all their channels."""
-
-    def __call__(
-        self, parts: Sequence[Record], delays: Sequence[int] | None, *, noise_free: str = ""
-    ) -> Identification:
-        """With these delays, or for None those that the data tell; `noise_free` says which samples hold no noise."""
-        ...
+Again = Callable[..., Identification]
+"""again(records, input_delays, noise_free=words) identifies records that have all their channels, with these delays or
+None for those that the data tell; the words say which samples hold no noise, where some do."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
