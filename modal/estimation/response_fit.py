@@ -107,7 +107,7 @@ class ResponseLines:
         # real lags: the conjugate's spectrum is the pole's own, mirrored
         return np.stack([spectra[..., lines], spectra[..., -lines].conj()])
 
-    def transformed(self, poles: ComplexArray, lags: tuple[ComplexArray, ComplexArray], shift: int = 0) -> ComplexArray:
+    def transformed(self, poles: ComplexArray, lags: tuple[ComplexArray, ComplexArray], shift: int) -> ComplexArray:
         """(n_lines, n_poles) sum over k >= 1 of lambda^(k-1) a(k - shift) z^(shift - k).
 
         Args:

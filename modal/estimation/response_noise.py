@@ -38,9 +38,7 @@ SURE = 5.0
 """Call a ratio of variances another than 1 from so many standard deviations: one of 10^6 by chance."""
 
 
-def _leakage(
-    table: ResponseLines, fit: ResponseFit, inputs: list[int], offset: int = 0, shift: int = 0
-) -> ComplexArray:
+def _leakage(table: ResponseLines, fit: ResponseFit, inputs: list[int], offset: int, shift: int) -> ComplexArray:
     """(n_lines - offset, n_outputs, n_outputs) covariance of what finite blocks leave at lines l + offset and l.
 
     For independent white inputs of the table's powers: N(k) = Y(k) - G(k) U(k) with everything a sum over the block's
