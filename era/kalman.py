@@ -34,7 +34,7 @@ import scipy
 
 from era.gain import information, inverse, left_over, settled
 from era.realisation import Realisation
-from era.simulation import check_channels, filled_inputs, predict, unknown_after
+from era.simulation import acting_inputs, check_channels, predict, unknown_after
 from era.state_recursion import checked_state, run_from
 from okid.arrays import FloatArray, frozen, real_number, whole_number
 from okid.display import Displayed
@@ -169,7 +169,7 @@ def check_innovations(
     )
     return residual_check(
         errors,
-        [record.inputs for record in several],
+        [acting_inputs(model, record)[0] for record in several],
         n_lags=lags,
         n_fitted=fitted,
         first_lag=0,
@@ -415,7 +415,7 @@ def forecast(
         "the initial covariance",
     )
     chosen = _chosen(model, through)
-    inputs, missing = filled_inputs(record)
+    inputs, missing = acting_inputs(model, record)
     reach = _powers(model, min(steps, record.n_samples))
     with np.errstate(over="ignore", invalid="ignore"):
         run = filter_run(

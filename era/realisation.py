@@ -5,9 +5,14 @@ The states x answer to the inputs u and to the innovations e, what the outputs y
     x(k+1) = A x(k) + B u(k) + K e(k)
     y(k)   = C x(k) + D u(k) + e(k)
 
+Samples of an input that moves between them (a force limited to half the sampling frequency is none that is held) also
+tell of the output before: the sum over its samples that gives the force at an instant runs both ways. A model with a
+lead L is driven by u(k+L) in the place of u(k). It describes records; nothing that has to answer now can run it.
+
 Passage to and from python-control.
 """
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from typing import TYPE_CHECKING, Any
@@ -16,7 +21,7 @@ import numpy as np
 
 from okid.arrays import FloatArray, frozen, time_step, whole_number
 from okid.display import Displayed
-from okid.errors import InvalidDataError
+from okid.errors import IdentificationWarning, InvalidDataError
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -91,9 +96,11 @@ class Realisation(Displayed):
         K: (order, n_outputs) gain of the one-step predictor, None when none is known.
         singular_values: of the scaled block Hankel matrix, all that were computed; empty after `from_control`.
         factors: Hankel factors of this order, None when the model did not come from data.
+        lead: samples by which the model looks ahead in its inputs.
 
     Raises:
-        InvalidDataError: matrices that do not fit together, values that are not finite, dt that is not positive.
+        InvalidDataError: matrices that do not fit together, values that are not finite, dt that is not positive, a
+            negative lead.
 
     Example:
         >>> Realisation([[0.5]], [[1.0]], [[2.0]], [[0.0]], 0.01).order
@@ -109,9 +116,11 @@ class Realisation(Displayed):
     K: FloatArray | None = None
     singular_values: FloatArray = ()  # type: ignore[assignment]  # an array once constructed
     factors: HankelFactors | None = None
+    lead: int = 0
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
+        set_(self, "lead", whole_number(self.lead, name="lead, the samples that a model looks ahead,", least=0))
         set_(self, "D", frozen(self.D, name="D", shape=(None, None)))
         n_outputs, n_inputs = self.D.shape
         set_(self, "A", frozen(self.A, name="A", shape=(None, None)))
@@ -132,7 +141,8 @@ class Realisation(Displayed):
     def __repr__(self) -> str:
         return (
             f"Realisation(order {self.order}, {self.n_inputs} inputs, {self.n_outputs} outputs, dt {self.dt:.6g} s, "
-            f"{'no gain' if self.K is None else 'with gain'})"
+            f"{'no gain' if self.K is None else 'with gain'}"
+            f"{f', inputs {self.lead} samples ahead' if self.lead else ''})"
         )
 
     @property
@@ -179,10 +189,13 @@ class Realisation(Displayed):
             K=None if self.K is None else self.K[:order],
             singular_values=self.singular_values,
             factors=self.factors.truncated(order),
+            lead=self.lead,
         )
 
     def to_control(self, *, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None) -> "StateSpace":
         """As a discrete-time `control.StateSpace` with the same matrices and dt; the gain K is not part of it.
+
+        Of a model that looks ahead it is that of the inputs ahead, with a warning: no causal system has the lead.
 
         Args:
             inputs: names that its inputs get, such as `record.input_names`.
@@ -213,6 +226,13 @@ def to_control(
     import control
 
     model = realisation
+    if model.lead:
+        warnings.warn(
+            f"the model looks {model.lead} samples ahead in its inputs, which no causal system can; drive this one by "
+            f"inputs {model.lead} samples early.",
+            IdentificationWarning,
+            stacklevel=3,
+        )
     named = {"inputs": inputs and list(inputs), "outputs": outputs and list(outputs)}
     return control.StateSpace(model.A, model.B, model.C, model.D, model.dt, remove_useless_states=False, **named)
 

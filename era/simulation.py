@@ -32,7 +32,8 @@ def simulate(realisation: Realisation, record: Record, *, initial_state: FloatAr
 
     Missing inputs: the free run goes on with straight lines across the gap, but its outputs are NaN from the first
     missing sample until the slowest pole has forgotten 99 % of the state that it had (to the end, for a pole on or
-    outside the unit circle). What the record's outputs hold does not matter.
+    outside the unit circle). Inputs after the record, at which a model with a lead looks, are missing ones. What the
+    record's outputs hold does not matter.
 
     Args:
         realisation: model.
@@ -52,7 +53,7 @@ def simulate(realisation: Realisation, record: Record, *, initial_state: FloatAr
         array([0., 2., 1.])
     """
     check_channels(realisation, record)
-    inputs, missing = filled_inputs(record)
+    inputs, missing = acting_inputs(realisation, record)
     model = realisation
     outputs = simulate_array(model.A, model.B, model.C, model.D, inputs, initial_state=initial_state)
     if not np.isfinite(outputs[-1]).all():
@@ -100,7 +101,7 @@ def predict(realisation: Realisation, record: Record, *, initial_state: FloatArr
             "one-step prediction needs a gain K and this realisation has none; realise Markov parameters with a "
             "gain, or estimate one with era.gain_from_innovations."
         )
-    inputs, missing = filled_inputs(record)
+    inputs, missing = acting_inputs(realisation, record)
     state = checked_state(model.order, initial_state)
     predicted, state = one_step(
         model.A, model.B, model.C, model.D, model.K, inputs=inputs, outputs=record.outputs, state=state
@@ -147,6 +148,23 @@ def filled_inputs(record: Record) -> tuple[FloatArray, BoolArray]:
     for column, gap in zip(filled.T, missing.T, strict=True):
         column[gap] = np.interp(position[gap], position[~gap], column[~gap])
     return filled, rows
+
+
+def acting_inputs(realisation: Realisation, record: Record) -> tuple[FloatArray, BoolArray]:
+    """As `filled_inputs`, each row where the model looks at it: the last `lead` rows repeat the last one, missing.
+
+    Example:
+        >>> early = Realisation([[0.5]], [[1.0]], [[2.0]], [[0.0]], 0.01, lead=1)
+        >>> acting_inputs(early, Record([1.0, 2.0, 3.0], [0.0, 0.0, 0.0], 0.01))[0].ravel().tolist()
+        [2.0, 3.0, 3.0]
+    """
+    inputs, missing = filled_inputs(record)
+    if not realisation.lead:
+        return inputs, missing
+    rows = np.arange(record.n_samples) + realisation.lead
+    beyond = rows >= record.n_samples
+    rows[beyond] = record.n_samples - 1
+    return inputs[rows], missing[rows] | beyond
 
 
 def _spectral_radius(A: FloatArray) -> float:
@@ -205,7 +223,7 @@ def estimate_initial_state(realisation: Realisation, record: Record, *, rows: Bo
     """
     check_channels(realisation, record)
     model = realisation
-    inputs, missing = filled_inputs(record)
+    inputs, missing = acting_inputs(realisation, record)
     usable = _usable(record, rows, missing)
     if model.order == 0:
         return np.zeros(0)

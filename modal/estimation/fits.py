@@ -117,6 +117,30 @@ def measure_fit(chosen: Trial, power: FloatArray, runs: ModelRuns) -> Fit:
     )
 
 
+def mean_fit(fits: Sequence[Fit], outputs: Sequence[Sequence[int]], n_outputs: int) -> Fit:
+    """Fits of each output, the mean over those that have it.
+
+    Args:
+        fits: each of some outputs.
+        outputs: which of `n_outputs` those are.
+        n_outputs: in all.
+    """
+
+    def mean(name: str) -> FloatArray:
+        total, count = np.zeros(n_outputs), np.zeros(n_outputs)
+        for one, seen in zip(fits, outputs, strict=True):
+            total[list(seen)] += getattr(one, name)
+            count[list(seen)] += 1
+        return total / count
+
+    return Fit(
+        cross_validated=mean("cross_validated"),
+        folds=np.concatenate([one.folds for one in fits]),
+        whole=mean("whole"),
+        one_step=mean("one_step"),
+    )
+
+
 def _run(model: ModalForm, record: Record, rows: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Outputs and level of a run."""
     if model.feedthrough.shape[1] != record.n_inputs:

@@ -27,10 +27,10 @@ from modal.estimation.free_run import powers_of
 from modal.estimation.modal_parameters import errors_of
 from modal.estimation.modal_states import CHUNK, signal_grams, signals_of
 from modal.estimation.output_error import LinearPart, PolesAndParticipations, step_equations
-from modal.identification.feedback import inputs_made_by
 from modal.identification.refined_search import RefinedModel
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import Mode, Uncertainty
+from modal.preparation.feedback import inputs_made_by
 from okid.arrays import ComplexArray, FloatArray
 
 NOT_UNDERSTOOD = 1.3

@@ -16,7 +16,6 @@ from era.realisation import Realisation
 from modal.estimation.cross_validation import WITHIN, Folds, Trial
 from modal.estimation.fits import measure_fit, model_runs
 from modal.identification.covariance import told_at_rest
-from modal.identification.feedback import FALSE_ALARMS, feedback_p_value
 from modal.identification.final_model import FinalModel, White, fit_all_rows, in_white, with_deviations
 from modal.identification.more_modes import with_undriven
 from modal.identification.order_search import Search, choose_orders, given_orders
@@ -40,8 +39,16 @@ from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel
 from modal.preparation.amplitude import distortion_power
 from modal.preparation.band import chance_of_following, missed_share
-from modal.preparation.delay import LONGEST_SHARE, delay_of_phases, given_input_delay
+from modal.preparation.delay import (
+    LONGEST_SHARE,
+    acting_at_once,
+    delay_of_phases,
+    given_input_delay,
+    late_and_early,
+    late_inputs,
+)
 from modal.preparation.faults import Mended, free_of_clipping, mended
+from modal.preparation.feedback import FALSE_ALARMS, feedback_p_value
 from modal.preparation.integrators import driven_by_inputs
 from modal.preparation.kind import GivenKind, KindFound, find_kind, given_kind
 from modal.preparation.quick_model import left_alone_and_together
@@ -123,7 +130,8 @@ def identify(
             and ERA give it.
         missing: "fill" missing outputs by a model of the rest where they leave too few whole rows, or "leave" them.
         integrators: number of times that the system sums its inputs (0, 1 or 2).
-        input_delay: samples by which inputs act late, one number or one an input.
+        input_delay: samples by which inputs act late, one number or one an input; below zero early, for inputs that
+            move between their samples.
         drift: "none", "linear", or a number of slow functions taken off each channel (1 a line, 2 a parabola, more:
             half-waves).
         kind: "driven" (inputs move throughout), "transient" (they act in short events), "decay" (no input, each record
@@ -251,7 +259,9 @@ def _with_delays(
             found = refined_search(found, progress=lambda done: tell("refining on held-out rows", 0.25 + 0.15 * done))
         tell("fitting all rows", FITTING)
         # a few blows are no stationary input, of which the test could be asked
-        suspected = kind_found.kind == "driven" and feedback_p_value(several) < FALSE_ALARMS
+        factor = round(preparation.records[0].dt / several[0].dt)
+        early = [factor * min(0, d) for d in preparation.input_delay]
+        suspected = kind_found.kind == "driven" and feedback_p_value(late_inputs(several, early)) < FALSE_ALARMS
         taken, final = fit_all_rows(
             preparation.records,
             found,
@@ -376,6 +386,7 @@ def _identified(
         if kind.kind == "ambient"
         else None,
         height=standing_out(unjudged, prepared) if kind.kind == "ambient" else None,
+        ahead=late_and_early(preparation.input_delay)[1],
     )
     of_inputs = driven_by_inputs(modes, preparation.n_integrators)
     tell("checking residuals", 0.9)
@@ -395,7 +406,7 @@ def _identified(
         realisation=preparation.complete(model),
         fitted_model=model,
         modes=replace(
-            of_inputs,
+            acting_at_once(of_inputs, preparation.input_delay),
             output_names=prepared[0].output_names,
             output_units=prepared[0].output_units,
             input_names=prepared[0].input_names,

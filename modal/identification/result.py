@@ -95,7 +95,7 @@ class Identification(Displayed):
             was saved before there were any.
         response: the table of frequency responses that was identified, None where it was records.
         input_delay: (n_inputs,) samples of `records` by which each input acts late: those that the realisation has as
-            states and the modes do not; () in a file that was saved before it was kept.
+            states (below zero: early, as lead) and the modes do not; () in a file that was saved before it was kept.
     """
 
     records: tuple[Record, ...]

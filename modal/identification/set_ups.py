@@ -27,13 +27,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from era.simulation import estimate_initial_state, simulate
+from modal.estimation.fits import mean_fit
 from modal.identification.information import mean_by_information
 from modal.identification.result import Identification
 from modal.identification.synthesis import output_model, with_absent_outputs
-from modal.modes.mode import Choice, Fit, ModalModel, Mode, Uncertainty
+from modal.modes.mode import Choice, ModalModel, Mode, Uncertainty
 from modal.modes.shape_comparison import assurance
 from modal.preparation.band import coherent_band
-from modal.preparation.delay import LONGEST_SHARE, delay_between, late_inputs, without_input_delay
+from modal.preparation.delay import LONGEST_SHARE, delay_between, late_inputs, with_input_delay, without_input_delay
 from modal.verdict.excitation import undriven_doubt
 from modal.verdict.judgement import DOUBTED
 from modal.verdict.probability import SPREAD, pole_doubts, probability
@@ -115,24 +116,36 @@ def identify_setups(
     results = [again(_own_channels(records, one), delays) for one, delays in zip(setups, given, strict=True)]
     if not records[0].n_inputs:
         return _ambient(records, setups, results)
-    aligned, results, said, warnings = _aligned(records, setups, results, again)
+    early = _early(setups, results, records[0].n_inputs)
+    aligned, results, said, warnings = _aligned(records, setups, results, early, again)
     filled = list(aligned)
     for one in setups:
         for member in one.members:
             filled[member] = _completed(aligned[member], one, setups, results)
-    joint = again(filled, [0] * records[0].n_inputs, noise_free="outputs that were simulated hold no noise")
+    joint = again(filled, early, noise_free="outputs that were simulated hold no noise")
     return _with_joint_deviations(joint, records, setups, results, said=said, warnings=warnings)
 
 
+def _early(setups: Sequence[_SetUp], results: Sequence[Identification], n_inputs: int) -> list[int]:
+    """(n_inputs,) delays below zero, the least that any set-up asks for: one model looks ahead in all of them."""
+    asked = [dict(zip(one.inputs, own.input_delay, strict=True)) for one, own in zip(setups, results, strict=True)]
+    return [min(0, *(own.get(i, 0) for own in asked)) for i in range(n_inputs)]
+
+
 def _aligned(
-    records: Sequence[Record], setups: Sequence[_SetUp], results: Sequence[Identification], again: Again
+    records: Sequence[Record],
+    setups: Sequence[_SetUp],
+    results: Sequence[Identification],
+    early: Sequence[int],
+    again: Again,
 ) -> tuple[list[Record], list[Identification], tuple[Choice, ...], tuple[str, ...]]:
     """Records whose inputs act at once and with one gain, and what each set-up gives with them."""
     aligned, made = list(records), list(results)
     choices: list[str] = []
     warnings: list[str] = []
     for k, one in enumerate(setups):
-        delays, gains = list(results[k].input_delay) or [0] * len(one.inputs), [1.0] * len(one.inputs)
+        own_early, gains = [early[i] for i in one.inputs], [1.0] * len(one.inputs)
+        delays = [max(0, delay) for delay in results[k].input_delay]
         names = [records[0].input_names[i] for i in one.inputs]
         who = _named(records, one)
         for at, i in enumerate(one.inputs):
@@ -159,11 +172,12 @@ def _aligned(
             choices.append(f"{who}: {', '.join(late)}")
         for member, record in zip(one.members, _corrected(records, one, delays, gains), strict=True):
             aligned[member] = record
-        if tuple(delays) != (results[k].input_delay or tuple(delays)) or gains != [1.0] * len(gains):
-            made[k] = again(_own_channels(aligned, one), [0] * len(one.inputs))
+        acting = tuple(delay + ahead for delay, ahead in zip(delays, own_early, strict=True))
+        if acting != results[k].input_delay or gains != [1.0] * len(gains):
+            made[k] = again(_own_channels(aligned, one), own_early)
         else:
-            core = without_input_delay(results[k].realisation, delays)
-            made[k] = replace(results[k], realisation=core, input_delay=(0,) * len(delays))
+            core = with_input_delay(without_input_delay(results[k].realisation, acting), own_early)
+            made[k] = replace(results[k], realisation=core, input_delay=tuple(own_early))
     if not choices:
         return aligned, made, (), tuple(warnings)
     choice = Choice(
@@ -448,7 +462,7 @@ def _ambient(records: Sequence[Record], setups: Sequence[_SetUp], results: Seque
         fitted_model=model,
         modes=modes,
         choices=(first.choices[0], choice, *first.choices[1:]),
-        fit=_joint_fit(setups, results, model.n_outputs),
+        fit=mean_fit([result.fit for result in results], [one.outputs for one in setups], model.n_outputs),
         warnings=tuple(warnings),
         uncertainty=Uncertainty(
             method="output error",
@@ -578,21 +592,3 @@ def _by_data(mode: Mode) -> Mode:
     if left or not mode.doubts:
         return replace(mode, doubts=left)
     return replace(mode, verdict="system", probability=probability(mode.repeatability), doubts=())
-
-
-def _joint_fit(setups: Sequence[_SetUp], results: Sequence[Identification], n_outputs: int) -> Fit:
-    """Fits of each output, the mean over the set-ups that measured it."""
-
-    def mean(name: str) -> FloatArray:
-        total, count = np.zeros(n_outputs), np.zeros(n_outputs)
-        for one, result in zip(setups, results, strict=True):
-            total[list(one.outputs)] += getattr(result.fit, name)
-            count[list(one.outputs)] += 1
-        return total / count
-
-    return Fit(
-        cross_validated=mean("cross_validated"),
-        folds=np.concatenate([result.fit.folds for result in results]),
-        whole=mean("whole"),
-        one_step=mean("one_step"),
-    )

@@ -50,14 +50,15 @@ def frf(realisation: Realisation, frequencies: npt.ArrayLike) -> ComplexArray:
     z = _on_circle(frequencies, realisation.dt)
     n_inputs, order = realisation.B.shape[1], realisation.order
     if order == 0:
-        return np.tile(realisation.D + 0j, (z.size, 1, 1))
+        return realisation.D * z[:, np.newaxis, np.newaxis] ** realisation.lead
     triangular, unitary = scipy.linalg.schur(realisation.A, output="complex")
     drive = unitary.conj().T @ realisation.B
     state = np.empty((order, z.size, n_inputs), dtype=np.complex128)
     for i in reversed(range(order)):
         rest = np.tensordot(triangular[i, i + 1 :], state[i + 1 :], axes=1)
         state[i] = (drive[i] + rest) / (z - triangular[i, i])[:, np.newaxis]
-    return cast("ComplexArray", np.einsum("qn,nfm->fqm", realisation.C @ unitary, state) + realisation.D)
+    response = np.einsum("qn,nfm->fqm", realisation.C @ unitary, state) + realisation.D
+    return cast("ComplexArray", response * z[:, np.newaxis, np.newaxis] ** realisation.lead)
 
 
 def modal_frf(modes: Sequence[Mode], frequencies: npt.ArrayLike, *, dt: float) -> ComplexArray:

@@ -318,11 +318,12 @@ def measured_responses(result: Identification, measured: MeasuredFrf) -> Chart:
 def synthesised_alone(result: Identification, measured: MeasuredFrf) -> ComplexArray | None:
     """(N_GRID, n_outputs, n_inputs) response of the modes of the system and the feedthrough, without any other pole.
 
-    None without such modes, and where states for delays or integrators stand between the modes and the outputs.
+    None without such modes, and where states for delays or integrators, or inputs ahead, stand between the modes and
+    the outputs.
     """
     model = result.fitted_model or result.realisation
     system = result.modes.system
-    if not system or model.order != result.realisation.order:
+    if not system or model.order != result.realisation.order or result.realisation.lead:
         return None
     return np.asarray(modal_frf(system, model_grid(measured), dt=model.dt).sum(axis=0) + model.D)
 

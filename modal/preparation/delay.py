@@ -5,6 +5,9 @@ An input that acts d samples late leaves the first d coefficients of its observe
 are poles with a frequency and a damping ratio that no structure has. So the inputs are shifted before the fit, and the
 shift comes back as states that only pass on their input: their poles are zero, deadbeat, and no modes.
 
+An input that moves between its samples tells of outputs before them (`modal.preparation.lead`): it acts early, which is
+a delay below zero. The model then looks ahead, and no state is needed for that.
+
 The first samples of a pulse response are also empty where a point far from the force is slow to move, and a blow of a
 few samples hides a delay in its own shape. The modes tell the two apart. Residues of lightly damped modes, as
 displacements, are real but for 1 / (2 j w); an input that acts tau late turns them by -w tau. So a delay is what makes
@@ -47,6 +50,8 @@ REAL = 0.05
 EVEN_ODDS = 0.05
 """Take back a delay, or a part of it, where the phases fit what is left so much better: a delay is at most the lags
 that are empty, and any number up to them is as likely."""
+MOST_LEAD = 40
+"""Look no further ahead of the outputs: the sum that gives a force between its samples has died out by then."""
 EMPTY = 0.05
 """Part of the largest pulse response that the empty lags cannot exceed (two standard deviations): noise hides none."""
 
@@ -56,7 +61,7 @@ class InputDelay:
     """How late each input acts.
 
     Attributes:
-        samples: one number an input, in samples of the records looked at.
+        samples: one number an input, in samples of the records looked at; below zero where it acts early.
         choice: what was chosen and why.
     """
 
@@ -103,10 +108,10 @@ def choose_input_delay(records: Sequence[Record]) -> InputDelay:
 def given_input_delay(delay: int | Sequence[int], record: Record, *, decimation: int = 1) -> InputDelay:
     """The caller's delay, one for all inputs or one an input, in samples of the record before decimation.
 
-    What is not a whole number of decimated samples stays for the model to explain.
+    What is not a whole number of decimated samples stays for the model to explain. Below zero an input acts early.
 
     Raises:
-        InvalidDataError: a negative or broken number, or not one an input.
+        InvalidDataError: a broken number, one below -40 decimated samples, or not one an input.
 
     Example:
         >>> given_input_delay(5, Record([0.0, 1.0], [0.0, 1.0], 0.1), decimation=2).samples
@@ -117,46 +122,52 @@ def given_input_delay(delay: int | Sequence[int], record: Record, *, decimation:
         raise InvalidDataError(
             f"input_delay needs one number of samples for each of the {record.n_inputs} inputs, but has {len(values)}."
         )
-    samples = tuple(whole_number(value, name="an input delay", least=0) // decimation for value in values)
+    least = -MOST_LEAD * decimation
+    samples = tuple(whole_number(value, name="an input delay", least=least) // decimation for value in values)
     return InputDelay(
         samples=samples,
-        choice=Choice(what="input delay", value=_in_words(samples, record), reason="given as an argument"),
+        choice=Choice(what="input delay", value=delay_words(samples, record), reason="given as an argument"),
     )
 
 
 def late_inputs(records: Sequence[Record], samples: Sequence[int]) -> tuple[Record, ...]:
-    """The records with each input as it acts: so many samples later. Rows whose inputs lie before the record go.
+    """The records with each input as it acts: so many samples later. Rows whose inputs lie outside the record go.
 
     Raises:
-        InsufficientDataError: a record that is not longer than the longest delay.
+        InsufficientDataError: a record that is not longer than the longest delay and lead.
 
     Example:
         >>> record = Record([1.0, 2.0, 3.0, 4.0], [0.0, 0.0, 1.0, 2.0], 0.1)
         >>> [late.inputs.ravel().tolist() for late in late_inputs([record], [2])]
         [[1.0, 2.0]]
     """
-    longest = max(samples, default=0)
-    if longest == 0:
+    if not any(samples):
         return tuple(records)
+    late, early = late_and_early(samples)
     shifted = []
     for record in records:
-        if record.n_samples <= longest + max(record.n_inputs, record.n_outputs):
+        last = record.n_samples - early
+        if last <= late + max(record.n_inputs, record.n_outputs):
             raise InsufficientDataError(
-                f"an input delay of {longest} samples leaves nothing of a record of {record.n_samples}; leave that "
-                "record out or give a shorter input_delay."
+                f"an input delay of {late or -early} samples leaves nothing of a record of "
+                f"{record.n_samples}; leave that record out or give a shorter input_delay."
             )
         inputs = np.column_stack(
-            [
-                column[longest - int(d) : record.n_samples - int(d)]
-                for column, d in zip(record.inputs.T, samples, strict=True)
-            ]
+            [column[late - int(d) : last - int(d)] for column, d in zip(record.inputs.T, samples, strict=True)]
         )
-        shifted.append(replace(record.samples(longest), inputs=inputs))
+        shifted.append(replace(record.samples(late, last), inputs=inputs))
     return tuple(shifted)
+
+
+def late_and_early(samples: Sequence[int]) -> tuple[int, int]:
+    """How many rows at the start and at the end of a record have no input of their own."""
+    return max(0, *samples) if samples else 0, max(0, *(-d for d in samples)) if samples else 0
 
 
 def with_input_delay(realisation: Realisation, samples: Sequence[int]) -> Realisation:
     """The model of late inputs, driven by the inputs as they are: one more state for each sample of delay.
+
+    Where one acts early the model looks ahead by as much, and all others are late against that.
 
     The first states are those of the model that was given; Hankel factors belong to that model and are left behind. The
     delay states are known exactly, so the gain does not correct them.
@@ -166,7 +177,7 @@ def with_input_delay(realisation: Realisation, samples: Sequence[int]) -> Realis
         samples: (n_inputs,) delays.
 
     Raises:
-        InvalidDataError: a negative delay, or not one an input.
+        InvalidDataError: not one an input.
 
     Example:
         >>> from era.simulation import simulate
@@ -175,13 +186,14 @@ def with_input_delay(realisation: Realisation, samples: Sequence[int]) -> Realis
         [0.0, 0.0, 0.0, 2.0, 1.0]
     """
     model = realisation
-    delays = [whole_number(d, name="an input delay", least=0) for d in samples]
-    if len(delays) != model.n_inputs:
+    if len(samples) != model.n_inputs:
         raise InvalidDataError(
-            f"one delay for each of {model.n_inputs} inputs is needed, but {len(delays)} were given."
+            f"one delay for each of {model.n_inputs} inputs is needed, but {len(samples)} were given."
         )
+    _, early = late_and_early(samples)
+    lead, delays = model.lead + early, [d + early for d in samples]
     if not any(delays):
-        return model
+        return replace(model, lead=lead)
     order, n_late = model.order, sum(delays)
     A, B = np.zeros((order + n_late,) * 2), np.zeros((order + n_late, model.n_inputs))
     C, D = np.zeros((model.n_outputs, order + n_late)), np.array(model.D)
@@ -197,7 +209,7 @@ def with_input_delay(realisation: Realisation, samples: Sequence[int]) -> Realis
         B[first + d - 1, j] = 1.0
         first += d
     gain = None if model.K is None else np.vstack([model.K, np.zeros((n_late, model.n_outputs))])
-    return Realisation(A, B, C, D, model.dt, K=gain, singular_values=model.singular_values)
+    return Realisation(A, B, C, D, model.dt, K=gain, singular_values=model.singular_values, lead=lead)
 
 
 def without_input_delay(realisation: Realisation, samples: Sequence[int]) -> Realisation:
@@ -208,19 +220,43 @@ def without_input_delay(realisation: Realisation, samples: Sequence[int]) -> Rea
         >>> without_input_delay(with_input_delay(model, [2]), [2]).B.tolist()
         [[1.0]]
     """
-    order = realisation.order - sum(samples)
+    _, early = late_and_early(samples)
+    delays = [d + early for d in samples]
+    order = realisation.order - sum(delays)
     B, D = np.array(realisation.B[:order]), np.array(realisation.D)
     first = order
-    for j, d in enumerate(samples):
+    for j, d in enumerate(delays):
         if d:
             B[:, j], D[:, j] = realisation.A[:order, first], realisation.C[:, first]
             first += d
     gain = None if realisation.K is None else realisation.K[:order]
-    return Realisation(realisation.A[:order, :order], B, realisation.C[:, :order], D, realisation.dt, K=gain)
+    A, C, lead = realisation.A[:order, :order], realisation.C[:, :order], realisation.lead - early
+    return Realisation(A, B, C, D, realisation.dt, K=gain, lead=lead)
+
+
+def acting_at_once(modes: ModalModel, samples: Sequence[int]) -> ModalModel:
+    """Modes of a model of late inputs, as inputs drive them that act at once where they act early there.
+
+    Ringing that began `lead` samples ago has turned and decayed by as many powers of the pole. What happens between the
+    instant and the samples ahead is the motion of the input, and no mode's.
+
+    Args:
+        modes: of the model of late inputs.
+        samples: (n_inputs,) delays, below zero where an input acts early.
+    """
+    if not samples or min(samples) >= 0:
+        return modes
+    lead = np.maximum(0, -np.asarray(samples))
+    driven = tuple(
+        replace(mode, participation=mode.participation * np.exp(mode.pole * modes.dt * lead)) for mode in modes.modes
+    )
+    return replace(modes, modes=driven)
 
 
 def delay_of_phases(modes: ModalModel, samples: Sequence[int], *, longest: int) -> tuple[int, ...]:
     """The delays that make the residues of all modes real, or those that were taken where the modes do not say.
+
+    Of an input that acts early nothing is asked: it moves between its samples, and that is not a whole delay.
 
     With e the angle to the real axis that k of n modes keep, chance gathers them so closely with a probability of at
     most n C(n, k) (2 e / pi)^k for each delay tried, whichever k above n / 2 is the best, as some poles may be noise;
@@ -252,7 +288,7 @@ def delay_of_phases(modes: ModalModel, samples: Sequence[int], *, longest: int) 
             heard[r] = mode.mass_std.min(axis=0) < HEARD
     found = []
     for i, taken in enumerate(samples):
-        rows = np.flatnonzero(heard[:, i])
+        rows = np.flatnonzero(heard[:, i]) if taken >= 0 else np.zeros(0, dtype=np.intp)
         found.append(_real_delay(angular[rows], np.angle(squares[rows, i]), taken, turns, longest))
     return tuple(found)
 
@@ -390,14 +426,15 @@ def _found(samples: tuple[int, ...], record: Record) -> InputDelay:
         else "each input acts at once or, within the noise, cannot be said to act late"
     )
     return InputDelay(
-        samples=samples, choice=Choice(what="input delay", value=_in_words(samples, record), reason=reason)
+        samples=samples, choice=Choice(what="input delay", value=delay_words(samples, record), reason=reason)
     )
 
 
-def _in_words(samples: Sequence[int], record: Record) -> str:
+def delay_words(samples: Sequence[int], record: Record) -> str:
+    """Which inputs are how late or early, "none" where all act at once."""
     late = [
-        f"{name}: {d} samples ({d * record.dt:.4g} s)"
+        f"{name}: {abs(d)} samples{' early' if d < 0 else ''} ({abs(d) * record.dt:.4g} s)"
         for name, d in zip(record.input_names, samples, strict=True)
-        if d > 0
+        if d
     ]
     return ", ".join(late) or "none"

@@ -9,7 +9,13 @@ import numpy as np
 from era.realisation import Realisation
 from modal.modes.mode import Choice
 from modal.preparation.band import coherent_band
-from modal.preparation.delay import choose_input_delay, given_input_delay, late_inputs, with_input_delay
+from modal.preparation.delay import (
+    choose_input_delay,
+    given_input_delay,
+    late_and_early,
+    late_inputs,
+    with_input_delay,
+)
 from modal.preparation.drift import (
     FreedTrials,
     choose_drift,
@@ -22,6 +28,7 @@ from modal.preparation.faults import Mended, mended, no_finer_than_sensors
 from modal.preparation.filling import Filling, fill_where_needed
 from modal.preparation.integrators import choose_integrators, given_integrators, with_integrators
 from modal.preparation.kind import RecordKind
+from modal.preparation.lead import with_lead
 from modal.preparation.lines import MachineLines, machine_lines
 from modal.preparation.rest import with_rest
 from okid.arrays import FloatArray, whole_number
@@ -46,7 +53,7 @@ class Preparation:
         mended: the records that came, without what is no measurement.
         records: what is fitted: inputs late, summed and free of drift where that was chosen.
         as_measured: the same rows with the inputs as they came, less mean and drift: what `complete` is driven by.
-        input_delay: (n_inputs,) samples by which each input acts late.
+        input_delay: (n_inputs,) samples by which each input acts late, below zero early.
         n_integrators: how often the system sums its inputs.
         n_slow_functions: what was taken off each channel besides its mean.
         choices: all of it, with reasons.
@@ -92,7 +99,8 @@ def prepare(
         decimation: factor, or "auto" for the band in which the outputs follow the inputs.
         missing: "fill" missing outputs by a model of the rest where they leave too few whole rows, or "leave" them.
         integrators: number of times that the system sums its inputs (0, 1 or 2).
-        input_delay: samples of the records given by which inputs act late, one number or one an input.
+        input_delay: samples of the records given by which inputs act late (below zero early), one number or one an
+            input.
         drift: "none", "linear", or a number of slow functions (1 a line, 2 a parabola, more: half-waves).
         kind: of the records; what was struck gets its level from rest, and rows of rest in front.
         mend: what `mended` makes of them, where that is known.
@@ -139,6 +147,8 @@ def prepare(
         centring = rested.choices
     if isinstance(input_delay, str):
         delay = choose_input_delay(banded)
+        if kind == "driven" and first.n_inputs and not number:
+            delay = with_lead(delay, banded, measured)
     else:
         delay = given_input_delay(input_delay, first, decimation=factor)
     summed = tuple(summed_inputs(record, number) for record in banded)
@@ -152,11 +162,11 @@ def prepare(
     slow = drifting.n_functions
     freed = tuple(without_drift(record, slow) if slow else record for record in summed)
     own = [_own_inputs(*three, number) for three in zip(banded, summed, freed, strict=True)]
-    longest = max(delay.samples, default=0)
+    late, early = late_and_early(delay.samples)
     return Preparation(
         mended=mend.records,
         records=late_inputs(freed, delay.samples),
-        as_measured=tuple(record.samples(longest) for record in own),
+        as_measured=tuple(record.samples(late, record.n_samples - early) for record in own),
         input_delay=delay.samples,
         n_integrators=number,
         n_slow_functions=drifting.n_functions,
@@ -178,7 +188,7 @@ def prepare(
             *filling.warnings,
             *([drifting.warning] if drifting.warning else []),
         ),
-        n_rest=tuple(max(0, n - longest) for n in n_rest),
+        n_rest=tuple(max(0, n - late) for n in n_rest),
         at_rest=np.zeros((len(own), first.n_inputs)) if rested is None or number else rested.at_rest / factor,
     )
 

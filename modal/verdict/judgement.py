@@ -220,6 +220,7 @@ def judge(
     chance_line: BoolArray | None = None,
     rings_down: bool = False,
     is_table: bool = False,
+    ahead: int = 0,
 ) -> ModalModel:
     """The same modes with repeatability, probability, verdict, damping resolved or not, and the reason in words.
 
@@ -258,6 +259,7 @@ def judge(
             where the records are no answers to blows or releases.
         rings_down: whether the records are decays, in which nothing that was measured drives.
         is_table: whether frequency responses were measured, whose lines say nothing of what lies beyond them.
+        ahead: samples by which the model looks ahead in its inputs.
 
     Example:
         >>> mode = Mode(pole=-1 + 9j, kind="oscillatory", frequency=1.44, damping_ratio=0.11,
@@ -317,13 +319,13 @@ def judge(
             *poor_fit_doubt(fit, missed),
             *excitation_doubt(n_states, excitation, own_gain),
             *undriven,
-            *pole_doubts(mode, model.dt),
+            *pole_doubts(mode, model.dt, ahead),
             *(() if height is None else peak_doubt(mode, float(height[i]), duration)),
         )
         deciding: tuple[tuple[str, str], ...] = ()
         if verdict == "system" and doubts:
             verdict, words = "doubtful", (*doubts, *words)
-            of_pole = (*line, *pole_doubts(mode, model.dt))
+            of_pole = (*line, *pole_doubts(mode, model.dt, ahead))
             deciding = tuple(("pole" if doubt in of_pole else "data", doubt) for doubt in doubts)
         elif verdict == "doubtful" and unanswered:  # neither sure to come back nor an answer: nothing speaks for it
             verdict, words, p = "noise", (*unanswered, *words), min(p, NOISE_BELOW)

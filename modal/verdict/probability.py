@@ -150,17 +150,22 @@ def peak_doubt(mode: Mode, height: float, duration: float) -> tuple[str, ...]:
     return ()
 
 
-def delay_doubt(mode: Mode, dt: float) -> tuple[str, ...]:
-    """A pole that dies within two samples may describe a delay, or what happens between samples."""
+def delay_doubt(mode: Mode, dt: float, ahead: int = 0) -> tuple[str, ...]:
+    """A pole that dies within two samples may describe a delay, or what happens between samples.
+
+    Where the model looks `ahead` by so many samples it may describe what the inputs do up to then.
+    """
     left = float(np.exp(mode.pole.real * dt))
-    if left >= LEAST_MEMORY:
+    if left >= LEAST_MEMORY ** (2 / (2 + ahead)):
         return ()
-    return (f"dies within two samples ({100 * left:.0f} % are left after one): may be a delay, not a mode",)
+    gone = "two samples" if not ahead else f"the {ahead} samples that inputs are ahead and two more"
+    what = "a delay" if not ahead else "what inputs do between their samples"
+    return (f"dies within {gone} ({100 * left:.0f} % are left after one): may be {what}, not a mode",)
 
 
-def pole_doubts(mode: Mode, dt: float) -> tuple[str, ...]:
+def pole_doubts(mode: Mode, dt: float, ahead: int = 0) -> tuple[str, ...]:
     """What a pole raises by its damping alone, whatever was measured."""
-    return (*colour_doubt(mode), *delay_doubt(mode, dt))
+    return (*colour_doubt(mode), *delay_doubt(mode, dt, ahead))
 
 
 def edge_doubt(mode: Mode, edge: float) -> tuple[str, ...]:

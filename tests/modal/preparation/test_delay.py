@@ -17,6 +17,7 @@ from modal.preparation.delay import (
     given_input_delay,
     late_inputs,
     with_input_delay,
+    without_input_delay,
 )
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
@@ -31,6 +32,10 @@ def late(inputs, delays):
     for j, d in enumerate(delays):
         result[d:, j] = inputs[: len(inputs) - d, j]
     return result
+
+
+def ahead(inputs, lead):
+    return np.vstack([inputs[lead:], np.zeros((lead, inputs.shape[1]))])
 
 
 def record_of(rng, system, delays, *, n_samples=3000, noise=0.03, kind="white"):
@@ -77,6 +82,9 @@ def test_late_inputs_keep_rows_together():
     np.testing.assert_array_equal(shifted.outputs, outputs[4:])
     np.testing.assert_array_equal(shifted.inputs, late(inputs, [4, 1])[4:])
     assert shifted.start_time == pytest.approx(0.4)
+    (shifted,) = late_inputs([Record(inputs, outputs, 0.1)], [-3, 2])
+    np.testing.assert_array_equal(shifted.outputs, outputs[2:57])
+    np.testing.assert_array_equal(shifted.inputs, np.column_stack([inputs[5:, 0], inputs[:55, 1]]))
 
 
 def test_a_record_shorter_than_the_delay_is_refused():
@@ -85,18 +93,26 @@ def test_a_record_shorter_than_the_delay_is_refused():
         late_inputs([record], [20])
 
 
-@pytest.mark.parametrize("delays", [(0, 0), (1, 0), (3, 7)])
+@pytest.mark.parametrize("delays", [(0, 0), (1, 0), (3, 7), (-2, -2), (-3, 1)])
 def test_the_model_with_delays_is_the_late_system(delays):
     rng = np.random.default_rng(6)
     system = two_modes(rng, 2)
     gain = 1e-3 * rng.standard_normal((system.order, 2))
     model = with_input_delay(Realisation(system.A, system.B, system.C, system.D, system.dt, K=gain), delays)
     inputs = random_inputs(rng, 200, 2)
-    truth = simulate(system, late(inputs, delays))
+    lead = max(0, -min(delays))
+    truth = simulate(system, ahead(late(inputs, [d + lead for d in delays]), lead))
     record = Record(inputs, truth, system.dt)
-    np.testing.assert_allclose(era.simulate(model, record).outputs, truth, atol=1e-10)
-    np.testing.assert_allclose(era.predict(model, record).outputs, truth, atol=1e-10)
-    assert model.order == system.order + sum(delays)
+    known = len(truth) - lead
+    ringing = era.estimate_initial_state(model, record)  # what acted before the record rings on
+    for run in (era.simulate, era.predict):
+        found = run(model, record, initial_state=ringing).outputs
+        np.testing.assert_allclose(found[:known], truth[:known], atol=1e-10)
+        assert np.isnan(found[known:]).all()
+    assert (model.order, model.lead) == (system.order + sum(d + lead for d in delays), lead)
+    core = without_input_delay(model, delays)
+    for matrix in ("A", "B", "C", "D", "lead"):
+        np.testing.assert_array_equal(getattr(core, matrix), getattr(system, matrix, 0))
     found = extract_modes(model)
     np.testing.assert_allclose([mode.frequency for mode in found.modes], system.frequencies, rtol=1e-10)
     np.testing.assert_allclose([mode.damping_ratio for mode in found.modes], system.damping_ratios, rtol=1e-8)
@@ -118,8 +134,10 @@ def test_a_given_delay_is_checked_and_decimated():
         assert given_input_delay(four, record).samples == (4, 4)
     with pytest.raises(InvalidDataError, match="each of the 2 inputs, but has 1"):
         given_input_delay([3], record)
-    with pytest.raises(InvalidDataError, match="delay"):
-        given_input_delay(-1, record)
+    assert given_input_delay([-1, -80], record, decimation=2).samples == (-1, -40)
+    assert given_input_delay([-3, 0], record).choice.value == "input_0: 3 samples early (0.3 s)"
+    with pytest.raises(InvalidDataError, match="at least -80, but is -81"):
+        given_input_delay(-81, record, decimation=2)
     with pytest.raises(InvalidDataError, match="one delay for each of 0 inputs"):
         with_input_delay(Realisation([[0.5]], np.empty((1, 0)), [[1.0]], np.empty((1, 0)), 0.1), [1])
 

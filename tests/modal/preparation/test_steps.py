@@ -238,8 +238,8 @@ def test_arguments_are_kept():
     [
         ({"missing": "interpolate"}, 'missing must be "fill" or "leave", but is \'interpolate\''),
         ({"input_delay": "none"}, "input_delay must be \"auto\" or .* but is 'none'"),
-        ({"input_delay": None}, "an input delay must be a whole number of at least 0, but is None"),
-        ({"input_delay": 2.5}, "an input delay must be a whole number of at least 0, but is 2.5"),
+        ({"input_delay": None}, "an input delay must be a whole number of at least -40, but is None"),
+        ({"input_delay": 2.5}, "an input delay must be a whole number of at least -40, but is 2.5"),
     ],
 )
 def test_a_word_or_a_number_that_means_nothing_is_refused(argument, words):

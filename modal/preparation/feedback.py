@@ -37,7 +37,7 @@ from okid.scaling import ChannelScaling, channel_scaling
 
 FALSE_ALARMS = 0.01
 """Speak of feedback where so few records without it would look as much like it."""
-OWN_PAST = 40
+OWN_PAST = 80
 """Let an input know its own past over so many samples."""
 OTHER_PAST = 4
 """Look for so many samples of the outputs' past in it: a controller answers at once."""
@@ -91,9 +91,7 @@ def inputs_made_by(errors: Sequence[FloatArray], records: Sequence[Record]) -> l
         u(k) = sum of a_i u(k - i) + sum of f_i e(k - i) + what comes from outside,
 
     by least squares, with the same lags as the test; run from rest on the errors alone. A loop that was recorded is
-    stable. Where the recursion grows e-fold within its own past the inputs have made the errors and least squares has
-    found the inverse of that (a smooth force, whose motion between its samples a model does not see): nothing is made
-    by the errors then. One that grows less is drawn into the unit circle.
+    stable: a recursion that grows is drawn into the unit circle.
 
     Args:
         errors: (n_samples, n_outputs) a record, NaN where there is none.
@@ -106,8 +104,6 @@ def inputs_made_by(errors: Sequence[FloatArray], records: Sequence[Record]) -> l
     later = np.linalg.lstsq(told.left[m:, m:], told.left[m:, :m], rcond=1e-12)[0]
     own = (told.weights[1:, :m] - told.weights[1:, m:] @ later).reshape(told.own, m, m).transpose(0, 2, 1)
     radius = _radius(own)
-    if radius > 1.0 + 1.0 / told.own:
-        return [np.zeros_like(record.inputs) for record in records]
     own *= min(1.0, LONGEST_MADE / radius) ** np.arange(1, told.own + 1)[:, np.newaxis, np.newaxis]
     made = []
     size, level = told.scaling.output_scale, told.scaling.output_mean
