@@ -26,6 +26,7 @@ from modal.modes.modal_form import discrete_poles, modal_basis
 from modal.modes.modal_mass import driving_point_of, normalise_shapes, phase_words
 from modal.modes.mode import Choice, Fit, ModalModel, Mode, Uncertainty, numbered
 from modal.preparation.band import follows_powers, missed_share, share_that_follows
+from modal.preparation.delay import late_and_early, late_inputs
 from modal.verdict.judgement import DOUBTED
 from modal.verdict.probability import FILTER_EDGE, LEAST_FIT, MOST_MISSED
 from modal.wording.text import NINETY_FIVE, fit_text, hertz, listed
@@ -271,10 +272,12 @@ def _was(mode: Mode) -> str:
 def _run_anew(result: Identification, dropped: Sequence[Mode]) -> Identification:
     dropped = [mode for mode in dropped if mode.participation.any() or not mode.participation.size]
     fitted = without_modes(result.fitted_model or result.realisation, dropped)
-    runs = model_runs(fitted, result.records)
+    late, early = late_and_early(result.input_delay)
+    runs = model_runs(fitted, late_inputs(result.records, result.input_delay))
     unknown = np.full_like(result.fit.cross_validated, np.nan), np.full_like(result.fit.folds, np.nan)
     return replace(
         result,
+        records=tuple(record.samples(late, record.n_samples - early) for record in result.records),
         realisation=without_modes(result.realisation, dropped),
         fitted_model=fitted,
         simulated=runs.simulated,
@@ -308,4 +311,5 @@ def without_modes(realisation: Realisation, modes: Sequence[Mode]) -> Realisatio
         realisation.D,
         realisation.dt,
         K=None if realisation.K is None else rest(realisation.K),
+        lead=realisation.lead,
     )

@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy
 from noise_families import noise_record
 from nonlinear_chain import run_chain
+from systems import modal_system, simulate
 
 import modal
 from era.realisation import Realisation
@@ -49,6 +51,26 @@ def test_the_choice_of_the_user_is_said_and_costs_its_fit(identification):
     assert result.choices[-1].what == "modes by hand"
     assert f"dropped {number}" in result.choices[-1].value
     assert any("dropped by hand" in mode.reason for mode in result.modes)
+
+
+@pytest.mark.parametrize("delay", [7, -4])
+def test_what_is_left_runs_with_the_delays_of_its_inputs(delay):
+    rng = np.random.default_rng(3)
+    both = modal_system(rng, frequencies=[6.0, 21.0], damping_ratios=[0.02, 0.015], n_inputs=1, n_outputs=2)
+    force = rng.standard_normal((4000, 1))
+    measured = np.roll(simulate(both, force), delay, axis=0)[10:-10]
+    measured += 0.01 * measured.std(axis=0) * rng.standard_normal(measured.shape)
+    result = modal.identify(Record(force[10:-10], measured, both.dt), input_delay=delay)
+    assert result.input_delay == (delay,)
+    high = extract_modes(Realisation(both.A, both.B, both.C, both.D, both.dt)).modes[1]
+    answer = np.zeros_like(force[:, 0], dtype=complex)
+    pole = np.exp(high.pole * both.dt)
+    answer[1:] = scipy.signal.lfilter([1.0], [1.0, -pole], force[:-1, 0])
+    alone = 2 * (answer[:, np.newaxis] * high.shape * high.participation[0]).real
+    left = measured - np.roll(alone, delay, axis=0)[10:-10]
+    dropped = modal.with_modes(result, drop=[1])
+    np.testing.assert_allclose(dropped.fit.whole, 1 - left.std(axis=0) / measured.std(axis=0), atol=0.01)
+    assert all(run.n_samples == one.n_samples for run, one in zip(dropped.simulated, dropped.records, strict=True))
 
 
 def test_an_added_mode_is_one_of_the_system(identification):
