@@ -30,15 +30,19 @@ import scipy
 from modal.estimation.prediction_error import ROWS_A_NUMBER
 from okid.arrays import FloatArray
 from okid.frequency_response import averaged_spectra
-from okid.gram import lag_gram
+from okid.gram import LagGram, lag_gram
 from okid.markov import solve_recursion
 from okid.record import Record
 from okid.scaling import ChannelScaling, channel_scaling
 
 FALSE_ALARMS = 0.01
 """Speak of feedback where so few records without it would look as much like it."""
-OWN_PAST = 80
-"""Let an input know its own past over so many samples."""
+OWN_PAST = 40
+"""Let an input know its own past over so many samples,"""
+LONGER = (1, 2, 4)
+"""or so many times as many where Schwarz's criterion prefers that: the edge of a steep filter takes 160 to foretell."""
+MOST_NUMBERS = 2500
+"""Make a Gram matrix of no more columns; of many channels the past is shorter."""
 OTHER_PAST = 4
 """Look for so many samples of the outputs' past in it: a controller answers at once."""
 SEGMENT = 256
@@ -180,11 +184,21 @@ class _Told:
         """None where there are no inputs, or too few rows."""
         m, q = records[0].n_inputs, records[0].n_outputs
         n_rows = sum(record.n_samples for record in records)
-        own = min(OWN_PAST, n_rows // (ROWS_A_NUMBER * (m + q)))
-        if not m or own < OTHER_PAST:
+        least = min(OWN_PAST, n_rows // (ROWS_A_NUMBER * (m + q)))
+        if not m or least < OTHER_PAST:
             return None
+        most = max(least, min(n_rows // (ROWS_A_NUMBER * m), MOST_NUMBERS // (m + q)))
         scaling = channel_scaling(records)
-        gram = lag_gram(records, own, scaling=scaling)
+        longest = lag_gram(records, min(most, LONGER[-1] * OWN_PAST), scaling=scaling)
+        told = [
+            cls._from(longest.truncated(own), scaling)
+            for own in (min(times * least, longest.order) for times in LONGER)
+        ]
+        return min(told, key=lambda one: one.criterion)
+
+    @classmethod
+    def _from(cls, gram: LagGram, scaling: ChannelScaling) -> "_Told":
+        m, q, own = gram.n_inputs, gram.n_outputs, gram.order
         lags = 1 + (m + q) * np.arange(own + 1)[:, np.newaxis]
         inputs = (lags + np.arange(m)).ravel()
         past = np.concatenate([[0], inputs[m:]])
@@ -202,3 +216,10 @@ class _Told:
             n_outputs=q,
             scaling=scaling,
         )
+
+    @property
+    def criterion(self) -> float:
+        """Schwarz's, of what their own past leaves of the inputs."""
+        of_inputs = self.left[: self.n_inputs, : self.n_inputs] / self.n_rows
+        numbers = self.n_inputs**2 * self.own
+        return float(self.n_rows * np.linalg.slogdet(of_inputs).logabsdet + numbers * np.log(self.n_rows))
