@@ -25,7 +25,7 @@ bring it back to zero as fast as A - K C forgets.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -33,7 +33,7 @@ import numpy.typing as npt
 import scipy
 
 from era.gain import information, inverse, left_over, settled
-from era.realisation import Realisation
+from era.realisation import Realisation, warn_of_lead
 from era.simulation import acting_inputs, check_channels, predict, unknown_after
 from era.state_recursion import checked_state, run_from
 from okid.arrays import FloatArray, frozen, real_number, whole_number
@@ -70,7 +70,8 @@ def kalman_filter(realisation: Realisation) -> Any:
     """A `filterpy.kalman.KalmanFilter` set to run the identified gain in steady state.
 
     For each sample call `update_steadystate(y - D @ u)`, whose innovation is then in its attribute `y`, and
-    `predict_steadystate(u)`: filterpy knows no D, and x and u must both stay one-dimensional.
+    `predict_steadystate(u)`: filterpy knows no D, and x and u must both stay one-dimensional. Of a model that looks
+    ahead u is the input so many samples later, and a warning says it.
 
     Args:
         realisation: model with a gain.
@@ -96,6 +97,7 @@ def kalman_filter(realisation: Realisation) -> Any:
         )
     if model.order == 0:
         raise InvalidDataError("a Kalman filter needs at least one state, but this model is a pure feedthrough.")
+    warn_of_lead(model)
     condition = np.linalg.cond(model.A)
     if not condition < LARGEST_CONDITION:
         raise NumericalError(
@@ -169,13 +171,19 @@ def check_innovations(
     )
     return residual_check(
         errors,
-        [acting_inputs(model, record)[0] for record in several],
+        [_known_inputs(model, record) for record in several],
         n_lags=lags,
         n_fitted=fitted,
         first_lag=0,
         what="the innovations of at least one output are",
         words=lambda ratio, p_value, input_ratio: _messages(ratio, p_value, input_ratio, lags),
     )
+
+
+def _known_inputs(model: Realisation, record: Record) -> FloatArray:
+    """(n_samples, n_inputs) inputs where the model looks at them, NaN where one is missing."""
+    inputs, missing = acting_inputs(model, record)
+    return np.where(missing[:, np.newaxis], np.nan, inputs)
 
 
 def _sizes(records: Sequence[Record]) -> np.ndarray:
@@ -396,7 +404,7 @@ def forecast(
         (array([0., 2., 1.]), array([0.5 , 0.51, 0.51]), 'filterpy')
     """
     check_channels(realisation, record)
-    model = realisation
+    model = replace(realisation, lead=0)  # of the inputs where it looks at them
     if model.K is None:
         raise InvalidDataError(
             "a forecast needs a gain K and this realisation has none; estimate one with era.estimate_gain, or give "
@@ -414,8 +422,8 @@ def forecast(
         model.order,
         "the initial covariance",
     )
+    inputs, missing = acting_inputs(realisation, record)
     chosen = _chosen(model, through)
-    inputs, missing = acting_inputs(model, record)
     reach = _powers(model, min(steps, record.n_samples))
     with np.errstate(over="ignore", invalid="ignore"):
         run = filter_run(

@@ -226,15 +226,20 @@ def to_control(
     import control
 
     model = realisation
-    if model.lead:
+    warn_of_lead(model)
+    named = {"inputs": inputs and list(inputs), "outputs": outputs and list(outputs)}
+    return control.StateSpace(model.A, model.B, model.C, model.D, model.dt, remove_useless_states=False, **named)
+
+
+def warn_of_lead(realisation: Realisation) -> None:
+    """Warn where what is made of a model knows no lead and has to be driven by inputs that are early."""
+    if realisation.lead:
         warnings.warn(
-            f"the model looks {model.lead} samples ahead in its inputs, which no causal system can; drive this one by "
-            f"inputs {model.lead} samples early.",
+            f"the model looks {realisation.lead} samples ahead in its inputs, which nothing causal can; drive what is "
+            f"made of it by inputs {realisation.lead} samples early.",
             IdentificationWarning,
             stacklevel=3,
         )
-    named = {"inputs": inputs and list(inputs), "outputs": outputs and list(outputs)}
-    return control.StateSpace(model.A, model.B, model.C, model.D, model.dt, remove_useless_states=False, **named)
 
 
 def from_control(system: object) -> Realisation:

@@ -23,6 +23,7 @@ import numpy as np
 import scipy
 
 from era.state_recursion import PoleRecursion
+from modal.estimation.feedback import inputs_made_by
 from modal.estimation.free_run import powers_of
 from modal.estimation.modal_parameters import errors_of
 from modal.estimation.modal_states import CHUNK, signal_grams, signals_of
@@ -30,7 +31,6 @@ from modal.estimation.output_error import LinearPart, PolesAndParticipations, st
 from modal.identification.refined_search import RefinedModel
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import Mode, Uncertainty
-from modal.preparation.feedback import inputs_made_by
 from okid.arrays import ComplexArray, FloatArray
 
 NOT_UNDERSTOOD = 1.3

@@ -14,6 +14,7 @@ import numpy as np
 from era.kalman import check_innovations
 from era.realisation import Realisation
 from modal.estimation.cross_validation import WITHIN, Folds, Trial
+from modal.estimation.feedback import FALSE_ALARMS, feedback_p_value
 from modal.estimation.fits import measure_fit, model_runs
 from modal.identification.covariance import told_at_rest
 from modal.identification.final_model import FinalModel, White, fit_all_rows, in_white, with_deviations
@@ -42,13 +43,13 @@ from modal.preparation.band import chance_of_following, missed_share
 from modal.preparation.delay import (
     LONGEST_SHARE,
     acting_at_once,
+    check_delay_word,
     delay_of_phases,
+    early_inputs,
     given_input_delay,
     late_and_early,
-    late_inputs,
 )
 from modal.preparation.faults import Mended, free_of_clipping, mended
-from modal.preparation.feedback import FALSE_ALARMS, feedback_p_value
 from modal.preparation.integrators import driven_by_inputs
 from modal.preparation.kind import GivenKind, KindFound, find_kind, given_kind
 from modal.preparation.quick_model import left_alone_and_together
@@ -172,6 +173,7 @@ def identify(
         raise InvalidDataError(f'refinement must be "auto" or "none", but is {refinement!r}.')
     if decimation != "auto":
         decimation = whole_number(decimation, name="decimation", least=1, otherwise='or "auto"')
+    check_delay_word(input_delay)
     several = as_records(records)
     refuse_copies(several)
     once = partial(
@@ -259,9 +261,8 @@ def _with_delays(
             found = refined_search(found, progress=lambda done: tell("refining on held-out rows", 0.25 + 0.15 * done))
         tell("fitting all rows", FITTING)
         # a few blows are no stationary input, of which the test could be asked
-        factor = round(preparation.records[0].dt / several[0].dt)
-        early = [factor * min(0, d) for d in preparation.input_delay]
-        suspected = kind_found.kind == "driven" and feedback_p_value(late_inputs(several, early)) < FALSE_ALARMS
+        acting = early_inputs(several, preparation.input_delay, preparation.records[0].dt)
+        suspected = kind_found.kind == "driven" and feedback_p_value(acting) < FALSE_ALARMS
         taken, final = fit_all_rows(
             preparation.records,
             found,

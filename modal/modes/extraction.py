@@ -247,7 +247,8 @@ def extract_modes(realisation: Realisation, *, decay_limit: float = DECAY_LIMIT)
         decay_limit: share of its first amplitude below which a mode counts as died out, see `modal.modes.extraction`.
 
     Returns:
-        Modes with shape and participation such that outer(shape, participation) is the residue of the pulse response.
+        Modes with shape and participation such that outer(shape, participation) is the residue of the pulse response;
+        of a model that looks ahead in its inputs, of the pulse response that rings on after the instant of the pulse.
 
     References:
         Juang, Pappa, Journal of Guidance, Control, and Dynamics 8(5), 1985, doi 10.2514/3.20031.
@@ -286,7 +287,7 @@ def _mode(basis: ModalBasis, indicators: Indicators | None, index: int, realisat
     kind = kind_of(discrete)
     shape = basis.outputs[:, index]
     largest = complex(largest_component(shape[:, np.newaxis])[0])
-    n_inputs = realisation.B.shape[1]
+    driven = basis.inputs[index] * largest * discrete**realisation.lead if realisation.n_inputs else []
     size = abs(pole)
     is_noise = kind in ("unstable", "nyquist")
     mode = Mode(
@@ -295,7 +296,7 @@ def _mode(basis: ModalBasis, indicators: Indicators | None, index: int, realisat
         frequency=size / (2 * np.pi),
         damping_ratio=-pole.real / size if size > 0 else np.nan,
         shape=frozen_complex(shape / largest, name="shape"),
-        participation=frozen_complex(basis.inputs[index] * largest if n_inputs else [], name="participation"),
+        participation=frozen_complex(driven, name="participation"),
         probability=0.0 if is_noise else np.nan,
         verdict="noise" if is_noise else "doubtful",
     )

@@ -5,13 +5,19 @@ An input that acts d samples late leaves the first d coefficients of its observe
 are poles with a frequency and a damping ratio that no structure has. So the inputs are shifted before the fit, and the
 shift comes back as states that only pass on their input: their poles are zero, deadbeat, and no modes.
 
-An input that moves between its samples tells of outputs before them (`modal.preparation.lead`): it acts early, which is
-a delay below zero. The model then looks ahead, and no state is needed for that.
+An input that moves between its samples, a force limited to half of the sampling frequency, is at every instant a sum
+over its samples, of those that are still to come as well. A causal model leaves what they add, as an error that follows
+the input and rings in no mode; where modes lie above half of the sampling frequency it is many times the noise. With
+inputs taken so many samples early that the sum has died out, a delay below zero, the model holds it without a state.
 
 The first samples of a pulse response are also empty where a point far from the force is slow to move, and a blow of a
 few samples hides a delay in its own shape. The modes tell the two apart. Residues of lightly damped modes, as
 displacements, are real but for 1 / (2 j w); an input that acts tau late turns them by -w tau. So a delay is what makes
 the residues of all modes real at once, and a wrong one would turn and stretch the scale of every mode at that input.
+
+References:
+    Sims, American Economic Review 62(4), 1972, 540-552 (leads in a regression as a test of what drives what); Bartlett,
+    Proceedings of the Cambridge Philosophical Society 34(1), 1938, 33-40, doi 10.1017/S0305004100019880.
 """
 
 from collections.abc import Iterable, Sequence
@@ -21,6 +27,8 @@ import numpy as np
 import scipy
 
 from era.realisation import Realisation
+from modal.estimation.cross_validation import LONGEST_SCORED
+from modal.estimation.feedback import FALSE_ALARMS, feedback_p_value
 from modal.modes.modal_mass import DERIVATIVES, HEARD, squared_residues
 from modal.modes.mode import Choice, ModalModel
 from modal.preparation.quick_model import observer_order
@@ -30,6 +38,7 @@ from okid.gram import LagGram, lag_gram
 from okid.least_squares import solve
 from okid.markov import recover_system
 from okid.record import Record
+from okid.rows import spread_stretches
 from okid.scaling import channel_scaling
 
 LONGEST_SHARE = 0.1
@@ -51,7 +60,7 @@ EVEN_ODDS = 0.05
 """Take back a delay, or a part of it, where the phases fit what is left so much better: a delay is at most the lags
 that are empty, and any number up to them is as likely."""
 MOST_LEAD = 40
-"""Look no further ahead of the outputs: the sum that gives a force between its samples has died out by then."""
+"""Look so many samples ahead of the outputs; a lead ends in the first half of them."""
 EMPTY = 0.05
 """Part of the largest pulse response that the empty lags cannot exceed (two standard deviations): noise hides none."""
 
@@ -105,6 +114,85 @@ def choose_input_delay(records: Sequence[Record]) -> InputDelay:
     return _found(tuple(int(d) for d in found), records[0])
 
 
+def with_lead(delay: InputDelay, records: Sequence[Record], measured: Sequence[Record]) -> InputDelay:
+    """The same, inputs that act at once taken early where outputs tell of what lies ahead of them.
+
+    Nested regressions tell how far. With p outputs and inputs of the past in the model, S_L what the inputs up to L
+    samples ahead leave of the outputs, and H samples at most,
+
+        (N - numbers - (n_outputs + 1) / 2) ln(det S_L / det S_H)
+
+    is chi-square with (H - L) n_inputs n_outputs degrees of freedom where the inputs beyond L tell nothing (Bartlett)
+    and the noise does not grow with the inputs. Where it does, as in records of several levels, all inputs seem to
+    tell, those H + 1 to 2 H samples ahead as well: the ratio to these is F-distributed.
+
+    A controller, too, makes the inputs ahead tell of what is now. So a lead is refused where the outputs still tell
+    of the inputs after it, as in a loop.
+
+    Args:
+        delay: that the pulse response shows.
+        records: that are to be fitted, with inputs as they came.
+        measured: the same before they were decimated: a filter that looks ahead makes inputs follow outputs.
+
+    Example:
+        >>> rng = np.random.default_rng(0)
+        >>> force, noise = rng.standard_normal((2, 4000))
+        >>> record = Record(force[:-1], force[:-1] + 0.2 * force[1:] + 0.01 * noise[1:], 0.01)
+        >>> with_lead(choose_input_delay([record]), [record], [record]).samples
+        (-1,)
+    """
+    lead = 0 if all(delay.samples) else _lead(late_inputs(records, delay.samples))
+    if not lead:
+        return delay
+    early = tuple(d or -lead for d in delay.samples)
+    try:
+        late_inputs(records, early)
+        p_value = feedback_p_value(early_inputs(measured, early, records[0].dt))
+    except InsufficientDataError:  # a record too short for it
+        return delay
+    if not p_value >= FALSE_ALARMS:  # nan where the inputs cannot be asked
+        return delay
+    reason = (
+        "outputs also tell of inputs that lie ahead of them, as of a force that moves between its samples; the model "
+        "looks ahead as far as that lasts, its modes answer at once"
+    )
+    choice = Choice(what=delay.choice.what, value=_in_words(early, records[0]), reason=reason)
+    return InputDelay(samples=early, choice=choice)
+
+
+def _lead(records: Sequence[Record]) -> int:
+    """Samples ahead after which inputs tell nothing more; 0 where none do, or where that is not seen to end."""
+    order, (m, q) = observer_order(records), (records[0].n_inputs, records[0].n_outputs)
+    some = spread_stretches(records, LONGEST_SCORED)
+    gram = lag_gram(some, order + MOST_LEAD, scaling=channel_scaling(some))
+    n_numbers = 1 + order * (m + q) + (1 + MOST_LEAD) * m
+    if gram.n_rows < 2 * n_numbers:
+        return 0
+    # the row asked of is MOST_LEAD samples old, so that the inputs ahead of it are known
+    lags = 1 + (m + q) * np.arange(order + MOST_LEAD + 1)[:, np.newaxis]
+    inputs, outputs = lags + np.arange(m), lags + m + np.arange(q)
+    past = [[0], outputs[MOST_LEAD + 1 :].ravel(), inputs[MOST_LEAD:].ravel()]
+    places = np.concatenate([*past, inputs[:MOST_LEAD][::-1].ravel(), outputs[MOST_LEAD]])
+    matrix = gram.matrix[np.ix_(places, places)] / gram.n_rows
+    # one factor holds what is left with any number of them
+    factor = scipy.linalg.cholesky(matrix + RIDGE * np.eye(len(places)))[:, -q:]
+    ahead, left = factor[-q - MOST_LEAD * m : -q].reshape(MOST_LEAD, m, q), factor[-q:]
+    told = np.cumsum(np.einsum("lmi,lmj->lij", ahead, ahead)[::-1], axis=0)[::-1]  # by those from each lag on
+    least = left.T @ left + ROUNDING * np.eye(q)
+    ratio = np.linalg.slogdet(least + told).logabsdet - np.linalg.slogdet(least).logabsdet
+    half, statistic = MOST_LEAD // 2, (gram.n_rows - n_numbers - (q + 1) / 2) * ratio
+    freedom, as_far = m * q * np.arange(half, 0, -1), m * q * half
+    by_chance = max(1.0, statistic[half] / as_far)
+    chance = scipy.special.fdtrc(freedom, as_far, (statistic[:half] - statistic[half]) / freedom / by_chance)
+    return int(np.argmax(chance >= CHANCE))  # 0, too, where all of them tell
+
+
+def check_delay_word(input_delay: int | Sequence[int] | str) -> None:
+    """Raise InvalidDataError for another word than "auto"."""
+    if isinstance(input_delay, str) and input_delay != "auto":
+        raise InvalidDataError(f'input_delay must be "auto" or one number of samples or more, but is {input_delay!r}.')
+
+
 def given_input_delay(delay: int | Sequence[int], record: Record, *, decimation: int = 1) -> InputDelay:
     """The caller's delay, one for all inputs or one an input, in samples of the record before decimation.
 
@@ -126,7 +214,7 @@ def given_input_delay(delay: int | Sequence[int], record: Record, *, decimation:
     samples = tuple(whole_number(value, name="an input delay", least=least) // decimation for value in values)
     return InputDelay(
         samples=samples,
-        choice=Choice(what="input delay", value=delay_words(samples, record), reason="given as an argument"),
+        choice=Choice(what="input delay", value=_in_words(samples, record), reason="given as an argument"),
     )
 
 
@@ -157,6 +245,12 @@ def late_inputs(records: Sequence[Record], samples: Sequence[int]) -> tuple[Reco
         )
         shifted.append(replace(record.samples(late, last), inputs=inputs))
     return tuple(shifted)
+
+
+def early_inputs(records: Sequence[Record], samples: Sequence[int], dt: float) -> tuple[Record, ...]:
+    """As `late_inputs`, of those alone that act early; delays in steps of `dt`, records as they came or decimated."""
+    factor = round(dt / records[0].dt)
+    return late_inputs(records, [factor * min(0, d) for d in samples])
 
 
 def late_and_early(samples: Sequence[int]) -> tuple[int, int]:
@@ -426,12 +520,11 @@ def _found(samples: tuple[int, ...], record: Record) -> InputDelay:
         else "each input acts at once or, within the noise, cannot be said to act late"
     )
     return InputDelay(
-        samples=samples, choice=Choice(what="input delay", value=delay_words(samples, record), reason=reason)
+        samples=samples, choice=Choice(what="input delay", value=_in_words(samples, record), reason=reason)
     )
 
 
-def delay_words(samples: Sequence[int], record: Record) -> str:
-    """Which inputs are how late or early, "none" where all act at once."""
+def _in_words(samples: Sequence[int], record: Record) -> str:
     late = [
         f"{name}: {abs(d)} samples{' early' if d < 0 else ''} ({abs(d) * record.dt:.4g} s)"
         for name, d in zip(record.input_names, samples, strict=True)

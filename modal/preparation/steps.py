@@ -10,11 +10,13 @@ from era.realisation import Realisation
 from modal.modes.mode import Choice
 from modal.preparation.band import coherent_band
 from modal.preparation.delay import (
+    check_delay_word,
     choose_input_delay,
     given_input_delay,
     late_and_early,
     late_inputs,
     with_input_delay,
+    with_lead,
 )
 from modal.preparation.drift import (
     FreedTrials,
@@ -28,7 +30,6 @@ from modal.preparation.faults import Mended, mended, no_finer_than_sensors
 from modal.preparation.filling import Filling, fill_where_needed
 from modal.preparation.integrators import choose_integrators, given_integrators, with_integrators
 from modal.preparation.kind import RecordKind
-from modal.preparation.lead import with_lead
 from modal.preparation.lines import MachineLines, machine_lines
 from modal.preparation.rest import with_rest
 from okid.arrays import FloatArray, whole_number
@@ -121,7 +122,9 @@ def prepare(
     first = records[0]
     slow_functions_given = _slow_functions_given(drift)
     given = None if integrators == "auto" else given_integrators(integrators)
-    _check_words(missing, input_delay)
+    check_delay_word(input_delay)
+    if missing not in ("fill", "leave"):
+        raise InvalidDataError(f'missing must be "fill" or "leave", but is {missing!r}.')
     mend = mended(records, driven=kind == "driven" and first.n_inputs > 0) if mend is None else mend
     parts, gaps = _parts(mend.records)
     rested = with_rest(parts) if kind in ("transient", "decay") else None
@@ -260,13 +263,6 @@ def _filling(records: Sequence[Record], missing: Literal["fill", "leave"]) -> Fi
         return fill_where_needed(records)
     measured = tuple(~np.isnan(record.outputs) for record in records)
     return Filling(records=tuple(records), measured=measured, choices=(), warnings=())
-
-
-def _check_words(missing: str, input_delay: int | Sequence[int] | str) -> None:
-    if missing not in ("fill", "leave"):
-        raise InvalidDataError(f'missing must be "fill" or "leave", but is {missing!r}.')
-    if isinstance(input_delay, str) and input_delay != "auto":
-        raise InvalidDataError(f'input_delay must be "auto" or one number of samples or more, but is {input_delay!r}.')
 
 
 def _slow_functions_given(drift: int | Literal["auto", "none", "linear"]) -> int | None:

@@ -144,6 +144,7 @@ PATHS = {
         "refinement": lambda: modal.identify(RECORD, refinement="more"),
         "missing": lambda: modal.identify(RECORD, missing="guess", kind="driven"),
         "drift": lambda: modal.identify(RECORD, drift="cubic", kind="driven"),
+        "delay in words": lambda: modal.identify(RECORD, input_delay="early", kind="driven"),
         "delay": lambda: modal.identify(RECORD, input_delay=-41, kind="driven"),
         "integrators": lambda: modal.identify(RECORD, integrators=7, kind="driven"),
         "short": lambda: modal.identify(RECORD.samples(0, 30), kind="driven"),

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from systems import markov, random_system
 
+import era
 from era.balanced import realise
 from era.realisation import HankelFactors, Realisation
-from okid.errors import InvalidDataError
+from okid.errors import IdentificationWarning, InvalidDataError
 from okid.markov import MarkovParameters
 
 
@@ -117,3 +118,13 @@ def test_systems_without_a_time_step_are_errors_with_a_remedy():
             Realisation.from_control(control.ss(*matrices, dt))
     with pytest.raises(InvalidDataError, match="str cannot be converted"):
         Realisation.from_control("no system")
+
+
+def test_what_knows_no_lead_is_told_to_be_driven_early():
+    model = Realisation([[0.5]], [[1.0]], [[2.0]], [[0.0]], 0.01, K=[[0.1]], lead=3)
+    assert "inputs 3 samples ahead" in repr(model)
+    for made in (model.to_control, lambda: era.kalman_filter(model)):
+        with pytest.warns(IdentificationWarning, match="by inputs 3 samples early"):
+            made()
+    with pytest.raises(InvalidDataError, match="at least 0, but is -1"):
+        Realisation([[0.5]], [[1.0]], [[2.0]], [[0.0]], 0.01, lead=-1)

@@ -109,6 +109,8 @@ def test_the_model_with_delays_is_the_late_system(delays):
         found = run(model, record, initial_state=ringing).outputs
         np.testing.assert_allclose(found[:known], truth[:known], atol=1e-10)
         assert np.isnan(found[known:]).all()
+    ahead_of = era.forecast(model, record, innovation_covariance=np.eye(2), initial_state=ringing)
+    np.testing.assert_allclose(ahead_of.means[:known], truth[:known], atol=1e-10)
     assert (model.order, model.lead) == (system.order + sum(d + lead for d in delays), lead)
     core = without_input_delay(model, delays)
     for matrix in ("A", "B", "C", "D", "lead"):

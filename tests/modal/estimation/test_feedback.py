@@ -8,12 +8,12 @@ import scipy
 from noise_families import noise_record
 
 from era.realisation import Realisation
+from modal.estimation.feedback import FALSE_ALARMS, feedback_p_value
 from modal.identification.covariance import feedback_bias, output_error_uncertainty
 from modal.identification.pipeline import identify
 from modal.identification.refined_search import MOST_STEPS, refined_model
 from modal.identification.words import with_feedback
 from modal.modes.extraction import extract_modes
-from modal.preparation.feedback import FALSE_ALARMS, feedback_p_value
 from okid.record import Record
 
 
