@@ -37,6 +37,8 @@ from modal.estimation.response_noise import (
 )
 from modal.estimation.response_order import (
     QUICK,
+    candidate,
+    chosen_order,
     evidence_of,
     first_weight,
     likelihood_of,
@@ -44,10 +46,10 @@ from modal.estimation.response_order import (
     most_states,
     schwarz,
     settled_noise,
-    until_worse,
     weight_of,
     with_fewer,
 )
+from modal.identification.order_search import COARSE_MODEL_ORDERS
 from modal.identification.result import Identification, OrderEvidence
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import Choice, Fit, ModalModel
@@ -72,8 +74,6 @@ LONGEST = 2048
 BETWEEN = 4
 """Describe a table by so many steps a half period of its last line, unless one, as of a sampled system, is likelier: an
 analyser sees the motion between samples, from which four differ by less than 1 % at the last line."""
-PASSES = 3
-"""Choose the order again with the noise that its own model leaves, at most so often; it repeats itself after two."""
 LEAST_TRIED = 24
 """Try orders up to this one in any case: a table cut below half the sampling frequency takes some ten states for its
 edge before the first mode is described (shaker-driven tables, seeds 100 to 102 of the benchmark)."""
@@ -156,7 +156,7 @@ def identify_response(
         windows = (response.window,) if response.window != "unknown" else TRIED if on_grid(response) else ("periodic",)
         found = _search(response, windows[0], order, BETWEEN)
         if _likelihood_between(found) > found.likelihood:
-            found = _search(response, windows[0], order, 1)
+            found = max(found, _search(response, windows[0], order, 1), key=lambda one: one.weighed)
         # each with its own poles, and under a force with dips if there is one: a dip passes for another window
         others = (_search(response, window, order, found.finer) for window in windows[1:])
         each = [_under_dips(one) for one in (found, *others)]
@@ -183,7 +183,11 @@ def _search(
     if not fit.poles.size:
         raise InsufficientDataError(f"{table.z.size} lines hold no pole that rings; give more lines or a wider band.")
     table = with_powers(table, fit)
-    weight = weight_of(table, noise_of(table, fit))
+    best = candidate(table, fit)
+    if order == "auto":
+        lower = [_fitted(table, found, n, first_weight(table)) for n in COARSE_MODEL_ORDERS if n < first]
+        best = min([best, *(candidate(table, one) for one in lower)], key=lambda one: one.criterion)
+    weight = weight_of(table, best.noise)
     fit = refined(table, fit, weight, n_steps=QUICK)
     while order == "auto" and first < largest:  # more poles, as long as they tell more
         more = min(largest, first + first // 2)
@@ -191,30 +195,14 @@ def _search(
         if evidence_of(table, trial) >= evidence_of(table, fit):
             break
         first, fit = more, trial
-    starts: list[Start] = [fit.start]
-    at, chosen = 0, 0
-    evidence: dict[int, float] = {}
-    fits: dict[int, float] = {}
-    for _ in range(PASSES if order == "auto" else 0):
-        weight = weight_of(table, noise_of(table, fit))
-        fit = refined(table, starts[max(0, at - 2)], weight, n_steps=QUICK)
-        starts, at, evidence, fits = [], 0, {}, {}
-        for one in until_worse(table, fit, weight):
-            starts.append(one.start)
-            evidence[one.order] = evidence_of(table, one)
-            fits[one.order] = float(np.mean(lines_fit(one.left, table, weight)))
-            if evidence[one.order] <= min(evidence.values()):
-                at, fit = len(starts) - 1, one
-        if fit.order == chosen:
-            break
-        chosen = fit.order
+    if order == "auto":
+        chosen = chosen_order(table, fit, best)
+        fit, evidence, fits, fewer = chosen.best.fit, chosen.evidence, chosen.fits, chosen.fewer
+    else:
+        evidence, fits, fewer = {fit.order: 0.0}, {}, ()
     table = with_powers(table, fit)
     fit, noise, likelihood = settled_noise(table, fit, noise_of(table, fit))
-    if not fits:
-        evidence, fits = (
-            {fit.order: 0.0},
-            {fit.order: float(np.mean(lines_fit(fit.left, table, weight_of(table, noise))))},
-        )
+    fits = fits or {fit.order: float(np.mean(lines_fit(fit.left, table, weight_of(table, noise))))}
     return _Found(
         response=response,
         table=table,
@@ -227,7 +215,7 @@ def _search(
         moved=np.zeros((2, fit.poles.size)),
         order=fit.order,
         first=first,
-        fewer=tuple(starts[at + 1 :]),
+        fewer=fewer,
         evidence=evidence,
         fits=fits,
         likelihood=likelihood,

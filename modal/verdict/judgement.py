@@ -299,12 +299,13 @@ def judge(
         driven = own_gain if np.isnan(held_out) else held_out
         lucky = rings_down or (chance_line is not None and bool(chance_line[i]))  # a release fits what never ends, too
         line = undriven_doubt(mode, min(driven, 0.0) if lucky else driven, duration)
+        heavy = heavy_doubt(mode) if is_table or ringing is not None else ()
         undriven = (
             *line,
             *edge_doubt(mode, edge),
             *(slow for slow in drift_doubt(mode, model.modes, duration) if rings_down and slow not in line),
             *(() if ringing is None else free_doubt(mode, float(ringing[i]), made_of[i])),
-            *(heavy_doubt(mode) if is_table or ringing is not None else ()),
+            *heavy,
             *(unexcited_doubt(mode, excitation) or unanswered),
             *line_doubt(lines, beside),
             *beyond_doubt(mode, own_band),
@@ -327,6 +328,8 @@ def judge(
             verdict, words = "doubtful", (*doubts, *words)
             of_pole = (*line, *pole_doubts(mode, model.dt, ahead))
             deciding = tuple(("pole" if doubt in of_pole else "data", doubt) for doubt in doubts)
+        elif verdict == "doubtful" and heavy and not unanswered:  # true however often it is found again
+            words = (*heavy, *words)
         elif verdict == "doubtful" and unanswered:  # neither sure to come back nor an answer: nothing speaks for it
             verdict, words, p = "noise", (*unanswered, *words), min(p, NOISE_BELOW)
         if undriven or (p >= SYSTEM_FROM and verdict != "system"):  # p and verdict say one thing

@@ -195,16 +195,20 @@ def test_several_shakers_whose_forces_dip_make_nothing_certain():
         assert abs(mode.damping_ratio - test.true_damping[nearest]) < 4 * mode.damping_ratio_std
 
 
-def identified_shaker(seed):
+def identified_shaker(seed, rounding=0.0):
     test = table_of(seed, window="hann", n_samples=1024, kind="shaker")
+    rounded = 1 + rounding * np.random.default_rng(seed).standard_normal(test.response.shape)
     known = {"coherence": test.coherence, "n_averages": test.n_averages, "window": "hann"}
-    return test, modal.identify(FrequencyResponse(test.response, test.frequencies, **known))
+    return test, modal.identify(FrequencyResponse(test.response * rounded, test.frequencies, **known))
 
 
-@pytest.mark.parametrize("seed", [341, 342])
-def test_a_force_that_dips_at_resonances_widens_the_intervals(seed):
-    """Deviations of a force that is white over a resonance are up to twenty times too small."""
-    test, result = identified_shaker(seed)
+@pytest.mark.parametrize(("seed", "rounding"), [(341, 0.0), (341, 1e-12), (342, 0.0)])
+def test_a_force_that_dips_at_resonances_widens_the_intervals(seed, rounding):
+    """Deviations of a force that is white over a resonance are up to twenty times too small.
+
+    Of tables that differ by rounding one had kept one mode of five.
+    """
+    test, result = identified_shaker(seed, rounding)
     assert any("force dips at the resonances" in text for text in result.warnings)
     pairs = [
         (min(result.modes, key=lambda mode: abs(mode.frequency - f)), f, d)
