@@ -114,7 +114,9 @@ def choose_input_delay(records: Sequence[Record]) -> InputDelay:
     return _found(tuple(int(d) for d in found), records[0])
 
 
-def with_lead(delay: InputDelay, records: Sequence[Record], measured: Sequence[Record]) -> InputDelay:
+def with_lead(
+    delay: InputDelay, records: Sequence[Record], measured: Sequence[Record], *, before: int | None = None
+) -> InputDelay:
     """The same, inputs that act at once taken early where outputs tell of what lies ahead of them.
 
     Nested regressions tell how far. With p outputs and inputs of the past in the model, S_L what the inputs up to L
@@ -127,12 +129,13 @@ def with_lead(delay: InputDelay, records: Sequence[Record], measured: Sequence[R
     tell, those H + 1 to 2 H samples ahead as well: the ratio to these is F-distributed.
 
     A controller, too, makes the inputs ahead tell of what is now. So a lead is refused where the outputs still tell
-    of the inputs after it, as in a loop.
+    of the inputs after it, as in a loop. That is not asked of blows: nothing is before them that they could answer.
 
     Args:
         delay: that the pulse response shows.
         records: that are to be fitted, with inputs as they came.
         measured: the same before they were decimated: a filter that looks ahead makes inputs follow outputs.
+        before: rows before the first blow of any record; None where inputs act throughout.
 
     Example:
         >>> rng = np.random.default_rng(0)
@@ -141,13 +144,13 @@ def with_lead(delay: InputDelay, records: Sequence[Record], measured: Sequence[R
         >>> with_lead(choose_input_delay([record]), [record], [record]).samples
         (-1,)
     """
-    lead = 0 if all(delay.samples) else _lead(late_inputs(records, delay.samples))
+    lead = 0 if all(delay.samples) else lead_of(late_inputs(records, delay.samples), before)
     if not lead:
         return delay
     early = tuple(d or -lead for d in delay.samples)
     try:
         late_inputs(records, early)
-        p_value = feedback_p_value(early_inputs(measured, early, records[0].dt))
+        p_value = 1.0 if before is not None else feedback_p_value(early_inputs(measured, early, records[0].dt))
     except InsufficientDataError:  # a record too short for it
         return delay
     if not p_value >= FALSE_ALARMS:  # nan where the inputs cannot be asked
@@ -160,9 +163,18 @@ def with_lead(delay: InputDelay, records: Sequence[Record], measured: Sequence[R
     return InputDelay(samples=early, choice=choice)
 
 
-def _lead(records: Sequence[Record]) -> int:
-    """Samples ahead after which inputs tell nothing more; 0 where none do, or where that is not seen to end."""
+def lead_of(records: Sequence[Record], before: int | None = None) -> int:
+    """Samples ahead after which inputs tell nothing more; 0 where none do, or where that is not seen to end.
+
+    Args:
+        records: whose inputs are not late.
+        before: rows before the first blow of any record, None where inputs act throughout. Only so many samples of the
+            past are known of what blows make; a lead leaves half of them.
+    """
     order, (m, q) = observer_order(records), (records[0].n_inputs, records[0].n_outputs)
+    order = order if before is None else min(order, before)
+    if not order:
+        return 0
     some = spread_stretches(records, LONGEST_SCORED)
     gram = lag_gram(some, order + MOST_LEAD, scaling=channel_scaling(some))
     n_numbers = 1 + order * (m + q) + (1 + MOST_LEAD) * m
@@ -184,7 +196,8 @@ def _lead(records: Sequence[Record]) -> int:
     freedom, as_far = m * q * np.arange(half, 0, -1), m * q * half
     by_chance = max(1.0, statistic[half] / as_far)
     chance = scipy.special.fdtrc(freedom, as_far, (statistic[:half] - statistic[half]) / freedom / by_chance)
-    return int(np.argmax(chance >= CHANCE))  # 0, too, where all of them tell
+    lead = int(np.argmax(chance >= CHANCE))  # 0, too, where all of them tell
+    return lead if before is None else min(lead, before // 2)
 
 
 def check_delay_word(input_delay: int | Sequence[int] | str) -> None:

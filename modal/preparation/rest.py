@@ -22,6 +22,7 @@ import scipy
 
 from modal.estimation.cross_validation import scaled_record
 from modal.modes.mode import Choice
+from modal.preparation.delay import MOST_LEAD, lead_of
 from modal.preparation.kind import acting_rows, acts, variance
 from modal.preparation.quick_model import quick_model
 from okid.arrays import BoolArray, FloatArray
@@ -48,6 +49,11 @@ RELEASED = Choice(
     reason="free motion from an unknown state is the answer to a unit pulse one sample before the record, from rest: "
     "poles and shapes are common, what each record starts from is its own",
 )
+RINGING = Choice(
+    what="force window",
+    value="not used",
+    reason="the inputs ring before the blows, as behind a filter that looks ahead, and the outputs tell of it",
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -58,12 +64,14 @@ class Rested:
         records: about the level at which they rest.
         n_rest: rows in front of each that were not measured.
         at_rest: (n_records, n_inputs) variances of what a force window took from the inputs.
+        looks_ahead: whether the outputs tell of blows to come, which ring before they fall.
         choices: what was done and why.
     """
 
     records: tuple[Record, ...]
     n_rest: tuple[int, ...]
     at_rest: FloatArray
+    looks_ahead: bool
     choices: tuple[Choice, ...]
 
 
@@ -135,7 +143,9 @@ def with_rest(records: Sequence[Record]) -> Rested:
     resting = [_rests(record, first) for record, first in zip(centred, starts, strict=True)]
     padded = tuple(_padded(record, length) if rests else record for record, rests in zip(centred, resting, strict=True))
     whole = padded
-    padded, window = _without_noise_of_rest(padded)
+    before = min(row for row, _ in acts(padded))
+    looks_ahead = _rings_before(padded) and lead_of(padded, before) > 0
+    padded, window = (padded, (RINGING,)) if looks_ahead else _without_noise_of_rest(padded)
     if all(resting):
         value, reason = "used", "no row before the first blow moves more than the quietest part of its record"
     elif any(resting):
@@ -145,6 +155,7 @@ def with_rest(records: Sequence[Record]) -> Rested:
     return Rested(
         records=padded,
         n_rest=tuple(length * rests for rests in resting),
+        looks_ahead=looks_ahead,
         at_rest=np.array([_noise_left_out(*both) for both in zip(whole, padded, strict=True)]),
         choices=(Choice(what="rest before the blow", value=value, reason=reason), *window),
     )
@@ -173,6 +184,31 @@ def _without_noise_of_rest(records: tuple[Record, ...]) -> tuple[tuple[Record, .
         return records, (Choice(what="force window", value="not used", reason=words),)
     words = "between the blows the inputs show noise of their sensors: a first model explains no less without it"
     return window, (Choice(what="force window", value="used", reason=words),)
+
+
+def _rings_before(records: Sequence[Record]) -> bool:
+    """Whether inputs move more shortly before a blow than far from all: a filter that looks ahead rings there.
+
+    The ratio of their powers, of inputs whose noise is white, is F-distributed.
+    """
+    near, far = [], []
+    for record, acting in zip(records, acting_rows(records), strict=True):
+        for values, own, wide in zip(record.inputs.T, acting.T, _widened(acting).T, strict=True):
+            blows = runs_of(wide) if own.any() else []
+            close = np.zeros(len(own), dtype=np.bool_)
+            for first, last in blows:
+                near.append(values[max(0, first - MOST_LEAD) : first][~wide[max(0, first - MOST_LEAD) : first]])
+                close[max(0, first - MOST_LEAD) : last + MOST_LEAD] = True
+            far.append(values[~close])
+    powers, counts = [], []
+    for rows in (near, far):
+        values = np.concatenate(rows) if rows else np.zeros(0)
+        powers.append(float(np.nansum(np.square(values))))
+        counts.append(int(np.count_nonzero(values)))
+    if not all(counts):
+        return False
+    ratio = powers[0] / counts[0] / (powers[1] / counts[1])
+    return bool(scipy.special.fdtrc(*counts, ratio) < CHANCE)
 
 
 def _noise_left_out(record: Record, window: Record) -> FloatArray:

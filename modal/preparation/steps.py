@@ -29,7 +29,7 @@ from modal.preparation.drift import (
 from modal.preparation.faults import Mended, mended, no_finer_than_sensors
 from modal.preparation.filling import Filling, fill_where_needed
 from modal.preparation.integrators import choose_integrators, given_integrators, with_integrators
-from modal.preparation.kind import RecordKind
+from modal.preparation.kind import RecordKind, acts
 from modal.preparation.lines import MachineLines, machine_lines
 from modal.preparation.rest import with_rest
 from okid.arrays import FloatArray, whole_number
@@ -150,8 +150,9 @@ def prepare(
         centring = rested.choices
     if isinstance(input_delay, str):
         delay = choose_input_delay(banded)
-        if kind == "driven" and first.n_inputs and not number:
-            delay = with_lead(delay, banded, measured)
+        if first.n_inputs and not number and (kind == "driven" or (rested is not None and rested.looks_ahead)):
+            before = None if rested is None else min(row for row, _ in acts(banded))
+            delay = with_lead(delay, banded, measured, before=before)
     else:
         delay = given_input_delay(input_delay, first, decimation=factor)
     summed = tuple(summed_inputs(record, number) for record in banded)
