@@ -62,10 +62,11 @@ class Batch(Displayed):
     def __post_init__(self) -> None:
         object.__setattr__(self, "folder", Path(self.folder))
         if not all((self.folder / name).is_file() for name in (MODE_TABLE, RECORD_TABLE)):
-            raise UnreadableFileError(
-                f"{shorten(visible(str(self.folder)), 200)!r} holds no {MODE_TABLE} and {RECORD_TABLE}; give the "
-                "folder of a finished modal-report batch."
+            shown = f"{shorten(visible(str(self.folder)), 200)!r}"
+            what = (
+                f"{shown} holds no {MODE_TABLE} and {RECORD_TABLE}" if self.folder.is_dir() else f"there is no {shown}"
             )
+            raise UnreadableFileError(f"{what}; give the folder of a finished modal-report batch.")
 
     def __repr__(self) -> str:
         status = self.records.column("status").to_pylist()

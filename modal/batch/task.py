@@ -86,7 +86,7 @@ def units_of(sources: Sources, settings: Settings, *, group_by: str | None, besi
         beside: folder of the results; its own files are no records.
 
     Raises:
-        InvalidDataError: nothing matches a source, or a file does not match `group_by`.
+        InvalidDataError: nothing matches a source, no file exists, or a file does not match `group_by`.
     """
     files = _spread(sources, beside)
     if group_by is None:
@@ -127,7 +127,11 @@ def _spread(sources: Sources, beside: Path) -> list[Path]:
         found |= {place: one for place, one in kept.items() if place not in found}
     if not found:
         raise InvalidDataError("no file was given; name at least one.")
-    return list(found.values())
+    files = list(found.values())
+    if not any(file.exists() for file in files):  # one of many that is gone is a result of its own
+        who = _shown(str(files[0])) if len(files) == 1 else f"none of the {len(files)} files"
+        raise InvalidDataError(f"{who} {'does not exist' if len(files) == 1 else 'exists'}; check the path.")
+    return files
 
 
 def _names(files: Sequence[Path]) -> list[str]:

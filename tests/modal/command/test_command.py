@@ -219,6 +219,31 @@ def test_exit_status_says_whether_the_data_carry_it(data, quick, identification,
     assert ("Not reliable" in result.stdout) == (status == 1)
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["run", "gone.csv"],
+        ["check", "gone.csv"],
+        ["batch", "gone.csv", "-o", "out"],
+        ["batch", "gone.csv", "gone_too.csv", "-o", "out"],
+        ["track", "gone"],
+        ["diff", "gone", "gone_too"],
+        ["live", "gone.csv", "--inputs", "force"],
+        ["gap", "gone.toml", "--fit", "gone.csv", "--held-out", "gone_too.csv"],
+        ["view", "gone"],
+    ],
+    ids=" ".join,
+)
+def test_a_path_that_is_not_there_is_one_sentence_and_leaves_nothing(words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 2
+    said = result.stderr.strip().replace("modal-report: ", "")
+    assert "gone" in said or "none of the 2 files" in said
+    assert said.count("\n") == 0
+    assert not list(tmp_path.iterdir())
+
+
 def test_an_existing_report_is_never_overwritten_unasked(data, quick):
     out = data / "out"
     out.mkdir()

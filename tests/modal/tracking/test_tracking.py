@@ -195,8 +195,10 @@ def test_the_command_writes_a_page_and_a_table(tmp_path, capsys):
     assert "What changed" in page
     assert "<svg" in page
     assert pq.read_table(tmp_path / "tracks.parquet").num_rows == table.num_rows
-    assert _status(["track", str(tmp_path / "nothing")]) == 2
-    assert "holds no modes.parquet" in capsys.readouterr().err
+    (tmp_path / "empty").mkdir()
+    for name, sentence in (("nothing", "there is no"), ("empty", "holds no modes.parquet")):
+        assert _status(["track", str(tmp_path / name)]) == 2
+        assert sentence in capsys.readouterr().err
 
 
 def test_what_no_record_was_sure_of_is_no_mode(tmp_path):
