@@ -27,6 +27,7 @@ from modal.modes.modal_mass import driving_point_of, normalise_shapes, phase_wor
 from modal.modes.mode import Choice, Fit, ModalModel, Mode, Uncertainty, numbered
 from modal.preparation.band import follows_powers, missed_share, share_that_follows
 from modal.preparation.delay import late_and_early, late_inputs
+from modal.preparation.drift import summed_inputs, without_drift
 from modal.verdict.judgement import DOUBTED
 from modal.verdict.probability import FILTER_EDGE, LEAST_FIT, MOST_MISSED
 from modal.wording.text import NINETY_FIVE, fit_text, hertz, listed
@@ -273,7 +274,7 @@ def _run_anew(result: Identification, dropped: Sequence[Mode]) -> Identification
     dropped = [mode for mode in dropped if mode.participation.any() or not mode.participation.size]
     fitted = without_modes(result.fitted_model or result.realisation, dropped)
     late, early = late_and_early(result.input_delay)
-    runs = model_runs(fitted, late_inputs(result.records, result.input_delay))
+    runs = model_runs(fitted, late_inputs(_as_fitted(result), result.input_delay))
     unknown = np.full_like(result.fit.cross_validated, np.nan), np.full_like(result.fit.folds, np.nan)
     return replace(
         result,
@@ -289,6 +290,23 @@ def _run_anew(result: Identification, dropped: Sequence[Mode]) -> Identification
             one_step=fit_of(runs.records, runs.predicted),
         ),
     )
+
+
+def _as_fitted(result: Identification) -> tuple[Record, ...]:
+    """The records with their inputs summed, once for each integrator of the realisation, as its model was fitted to.
+
+    Sums start from an unknown level: what that adds is among the slow functions that the outputs were freed of.
+    """
+    if result.fitted_model is None:
+        return result.records
+    late, n_inputs = (
+        sum(result.input_delay) + result.channels.n_inputs * result.realisation.lead,
+        result.channels.n_inputs,
+    )
+    number = (result.realisation.order - result.fitted_model.order - late) // max(1, n_inputs)
+    if not number:
+        return result.records
+    return tuple(without_drift(summed_inputs(record, number), number) for record in result.records)
 
 
 def without_modes(realisation: Realisation, modes: Sequence[Mode]) -> Realisation:

@@ -73,6 +73,26 @@ def test_what_is_left_runs_with_the_delays_of_its_inputs(delay):
     assert all(run.n_samples == one.n_samples for run, one in zip(dropped.simulated, dropped.records, strict=True))
 
 
+def test_what_is_left_runs_with_sums_of_the_inputs_of_integrators():
+    """Without the sums the model of two inertias on a shaft fitted by 0.0003, whichever pole was dropped."""
+    rng = np.random.default_rng(0)
+    shaft = np.array([[0, 1, 0, 0], [-900, -0.5, 900, 0.5], [0, 0, 0, 1], [1500, 0.5 / 0.6, -1500, -0.5 / 0.6]])
+    A, B, C, _, _ = scipy.signal.cont2discrete((shaft, np.eye(4)[:, 1:2], np.eye(4)[[1, 3]], np.zeros((2, 1))), 0.01)
+    torque, speeds, state = rng.standard_normal(6000), np.zeros((6000, 2)), np.zeros(4)
+    for row, pull in zip(speeds, torque, strict=True):
+        row[:] = C @ state
+        state = A @ state + B[:, 0] * pull
+    result = modal.identify(Record(torque, speeds + 0.002 * rng.standard_normal(speeds.shape), 0.01))
+    assert next(choice.value for choice in result.choices if choice.what == "integrators") == "one"
+    (shown,) = result.modes.system
+    noise = [number for number, mode in numbered(result.modes) if mode.verdict == "noise" and mode.damping_ratio < 0.5]
+    assert noise
+    left = modal.with_modes(result, drop=noise)
+    np.testing.assert_allclose(left.fit.whole, result.fit.whole, atol=0.01)
+    without = modal.with_modes(result, drop=[number for number, mode in numbered(result.modes) if mode is shown])
+    assert without.fit.whole.max() < 0.6
+
+
 def test_an_added_mode_is_one_of_the_system(identification):
     others = [n for n, mode in numbered(identification.modes) if mode.verdict != "system"]
     if not others:
