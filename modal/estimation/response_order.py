@@ -49,7 +49,7 @@ def schwarz(table: ResponseLines, error: float, n_parameters: int) -> float:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Candidate:
+class WithNoise:
     """A model of a table with the noise that it leaves.
 
     Attributes:
@@ -64,11 +64,11 @@ class Candidate:
     criterion: float
 
 
-def candidate(table: ResponseLines, fit: ResponseFit) -> Candidate:
+def with_own_noise(table: ResponseLines, fit: ResponseFit) -> WithNoise:
     """A model with its own noise, judged by both: under noise that leaks everything no pole is missed."""
     noise = noise_of(table, fit)
     criterion = schwarz(table, -likelihood_of(table, fit, noise), fit.n_parameters)
-    return Candidate(fit=fit, noise=noise, criterion=criterion)
+    return WithNoise(fit=fit, noise=noise, criterion=criterion)
 
 
 def with_fewer(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> Iterator[ResponseFit]:
@@ -100,7 +100,7 @@ def until_worse(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> I
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class OrderChoice:
+class OrderPath:
     """The likeliest model of a table, and those of other orders that it was chosen among.
 
     Attributes:
@@ -110,13 +110,13 @@ class OrderChoice:
         fewer: what to begin with for models of fewer and fewer poles than the best one.
     """
 
-    best: Candidate
+    best: WithNoise
     evidence: dict[int, float]
     fits: dict[int, float]
     fewer: tuple[Start, ...]
 
 
-def chosen_order(table: ResponseLines, first: ResponseFit, best: Candidate) -> OrderChoice:
+def chosen_order(table: ResponseLines, first: ResponseFit, best: WithNoise) -> OrderPath:
     """Leave out poles for as long as the evidence gains, and again under the noise that the chosen model leaves.
 
     Under one noise the orders of a path compare; paths compare by what table and noise together are likely. A noise of
@@ -128,17 +128,17 @@ def chosen_order(table: ResponseLines, first: ResponseFit, best: Candidate) -> O
         first: a model with more poles than are needed.
         best: the likeliest model so far, whose noise is the first.
     """
-    start, found = first.start, OrderChoice(best=best, evidence={}, fits={}, fewer=())
+    start, found = first.start, OrderPath(best=best, evidence={}, fits={}, fewer=())
     for number in range(PASSES):
         weight = weight_of(table, found.best.noise)
         path = list(until_worse(table, refined(table, start, weight, n_steps=QUICK), weight))
         evidence = [evidence_of(table, one) for one in path]
         at = int(np.argmin(evidence))
-        one = candidate(table, path[at])
+        one = with_own_noise(table, path[at])
         better = one.criterion < found.best.criterion
         repeats = one.fit.order == found.best.fit.order if better else number > 0
         if better or not found.evidence:
-            found = OrderChoice(
+            found = OrderPath(
                 best=one if better else found.best,
                 evidence=dict(zip((each.order for each in path), evidence, strict=True)),
                 fits={each.order: float(np.mean(lines_fit(each.left, table, weight))) for each in path},

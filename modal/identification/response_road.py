@@ -37,7 +37,6 @@ from modal.estimation.response_noise import (
 )
 from modal.estimation.response_order import (
     QUICK,
-    candidate,
     chosen_order,
     evidence_of,
     first_weight,
@@ -48,6 +47,7 @@ from modal.estimation.response_order import (
     settled_noise,
     weight_of,
     with_fewer,
+    with_own_noise,
 )
 from modal.identification.order_search import COARSE_MODEL_ORDERS
 from modal.identification.result import Identification, OrderEvidence
@@ -183,10 +183,10 @@ def _search(
     if not fit.poles.size:
         raise InsufficientDataError(f"{table.z.size} lines hold no pole that rings; give more lines or a wider band.")
     table = with_powers(table, fit)
-    best = candidate(table, fit)
+    best = with_own_noise(table, fit)
     if order == "auto":
         lower = [_fitted(table, found, n, first_weight(table)) for n in COARSE_MODEL_ORDERS if n < first]
-        best = min([best, *(candidate(table, one) for one in lower)], key=lambda one: one.criterion)
+        best = min([best, *(with_own_noise(table, one) for one in lower)], key=lambda one: one.criterion)
     weight = weight_of(table, best.noise)
     fit = refined(table, fit, weight, n_steps=QUICK)
     while order == "auto" and first < largest:  # more poles, as long as they tell more

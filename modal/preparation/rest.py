@@ -197,14 +197,17 @@ def _rings_before(records: Sequence[Record]) -> bool:
             blows = runs_of(wide) if own.any() else []
             close = np.zeros(len(own), dtype=np.bool_)
             for first, last in blows:
-                near.append(values[max(0, first - MOST_LEAD) : first][~wide[max(0, first - MOST_LEAD) : first]])
+                shortly = slice(max(0, first - MOST_LEAD), first)
+                near.append(values[shortly][~wide[shortly]])
                 close[max(0, first - MOST_LEAD) : last + MOST_LEAD] = True
             far.append(values[~close])
     powers, counts = [], []
     for rows in (near, far):
-        values = np.concatenate(rows) if rows else np.zeros(0)
-        powers.append(float(np.nansum(np.square(values))))
-        counts.append(int(np.count_nonzero(values)))
+        values = np.nan_to_num(
+            np.concatenate(rows) if rows else np.zeros(0)
+        )  # rows of no number or of rest tell nothing
+        powers.append(float(np.square(values).sum()))
+        counts.append(int(np.count_nonzero(values)))  # neither no number nor rest put in front tells anything
     if not all(counts):
         return False
     ratio = powers[0] / counts[0] / (powers[1] / counts[1])
