@@ -158,20 +158,25 @@ def _fitted_by_all(values: FloatArray, *, n_causes: int) -> FloatArray:
 
 
 def _degree(errors: Sequence[FloatArray]) -> int:
-    """The largest degree that held-out months cannot tell from the best one; 0 where no term helps.
+    """The largest degree that held-out months cannot tell from the best one; 0 where they cannot tell it from none.
+
+    What nothing has to do with the modes lowers the error of held-out months by chance, too, and takes with it a part
+    of every change that it resembles.
 
     Args:
         errors: of each degree from 0, (n_folds, n_modes).
     """
     best = int(np.argmin([np.nansum(own) for own in errors]))
-    if not best:
-        return 0
     size = errors[best].sum(axis=0)  # each mode against what is left of it: weak terms show in the surest modes
-    for degree in range(len(errors) - 1, best, -1):
+
+    def alike(degree: int) -> bool:
+        """Within the deviation of the sum."""
         worse = np.nansum((errors[degree] - errors[best]) / size, axis=1)
-        if worse.sum() < math.sqrt(worse.size) * worse.std(ddof=1):  # within the deviation of the sum
-            return degree
-    return best
+        return bool(worse.sum() < math.sqrt(worse.size) * worse.std(ddof=1))
+
+    if not best or alike(0):
+        return 0
+    return next((degree for degree in range(len(errors) - 1, best, -1) if alike(degree)), best)
 
 
 def _held_out_errors(values: FloatArray, terms: FloatArray, folds: np.ndarray) -> FloatArray:
