@@ -203,11 +203,9 @@ def _rings_before(records: Sequence[Record]) -> bool:
             far.append(values[~close])
     powers, counts = [], []
     for rows in (near, far):
-        values = np.nan_to_num(
-            np.concatenate(rows) if rows else np.zeros(0)
-        )  # rows of no number or of rest tell nothing
+        values = np.nan_to_num(np.concatenate(rows) if rows else np.zeros(0))
         powers.append(float(np.square(values).sum()))
-        counts.append(int(np.count_nonzero(values)))  # neither no number nor rest put in front tells anything
+        counts.append(int(np.count_nonzero(values)))  # neither a gap nor rest put in front tells anything
     if not all(counts):
         return False
     ratio = powers[0] / counts[0] / (powers[1] / counts[1])

@@ -328,10 +328,10 @@ def judge(
             verdict, words = "doubtful", (*doubts, *words)
             of_pole = (*line, *pole_doubts(mode, model.dt, ahead))
             deciding = tuple(("pole" if doubt in of_pole else "data", doubt) for doubt in doubts)
-        elif verdict == "doubtful" and heavy and not unanswered:  # true however often it is found again
-            words = (*heavy, *words)
         elif verdict == "doubtful" and unanswered:  # neither sure to come back nor an answer: nothing speaks for it
             verdict, words, p = "noise", (*unanswered, *words), min(p, NOISE_BELOW)
+        elif verdict == "doubtful":  # true however often it is found again
+            words = (*heavy, *words)
         if undriven or (p >= SYSTEM_FROM and verdict != "system"):  # p and verdict say one thing
             p = min(p, DOUBTED)
         doubt = damping_doubt(
