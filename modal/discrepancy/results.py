@@ -13,7 +13,7 @@ import numpy as np
 
 from modal.effects.catalogue import effects_at
 from modal.simulation.plant import MASS
-from modal.simulation.tolerances import FOLLOWED, NEAR_FLOOR, UNLIKELY
+from modal.simulation.tolerances import FOLLOWED, UNLIKELY, explained
 from modal.structure.structural_model import StructuralModel
 from modal.structure.structural_plant import places_in_words
 from modal.wording.text import listed, percent, times_floor_text
@@ -76,7 +76,7 @@ def changed_masses(diagnosis: "Diagnosis") -> tuple[str, ...]:
 def other_masses(diagnosis: "Diagnosis") -> str:
     """What explains the records where other masses do and no effect is found: "another mass of dof_0"; else ""."""
     changed = changed_masses(diagnosis)
-    explains = not diagnosis.findings and diagnosis.steps[-1].held_out_level <= NEAR_FLOOR
+    explains = not diagnosis.findings and explained(diagnosis.steps[-1].held_out_level)
     return masses_text(changed) if changed and explains else ""
 
 
@@ -414,7 +414,7 @@ class Diagnosis(Displayed):
             return f"Missing: {names}; {left}."
         if not names:
             return f"Something is left that no effect that was tried explains: {left}."
-        if self.warnings and self.steps[-1].held_out_level <= NEAR_FLOOR:
+        if self.warnings and explained(self.steps[-1].held_out_level):
             return f"Unresolved: the best guess is {names}; {left}, but {told.warnings[-1]}."
         return f"Unresolved: the best guess is {names}, which the data do not prove: {left}."
 

@@ -15,11 +15,11 @@ from modal.discrepancy.results import (
     masses_text,
 )
 from modal.effects.catalogue import effect_name
+from modal.simulation.tolerances import NEAR_FLOOR
 from modal.wording.text import NINETY_FIVE, listed, number
 
-NAMED_WITHIN = math.sqrt(1.5)
-"""Times the noise floor (root mean square) within which a model explains the data and an effect may be named: the root
-of `modal.discrepancy.selection.decision.NEAR_FLOOR`, which is in mean squares."""
+NAMED_WITHIN = math.sqrt(NEAR_FLOOR)
+"""Times the noise floor (root mean square) within which a model explains the data and an effect may be named."""
 
 effect_text = effect_name
 

@@ -23,7 +23,6 @@ from modal.effects.ambiguity import AMBIGUOUS
 from modal.effects.catalogue import one_of
 from modal.identification.words import Judgement
 from modal.sections.discrepancy_values import (
-    NAMED_WITHIN,
     closed_share,
     effect_text,
     effects_text,
@@ -34,6 +33,7 @@ from modal.sections.discrepancy_values import (
     times_text,
     value_with_unit,
 )
+from modal.simulation.tolerances import explained
 from modal.structure.plant_model import PlantModel
 from modal.structure.structural_model import StructuralModel
 from modal.wording.text import MOST_NAMED, exact_percent, listed, number, percent
@@ -85,15 +85,14 @@ def remaining_sentence(diagnosis: Diagnosis) -> str:
     masses = masses_text(changed_masses(diagnosis)) if not diagnosis.findings else ""
     effects = {0: masses and f"with {masses}", 1: "with the effect"}.get(len(diagnosis.findings), "with the effects")
     parts = [_left(step, effects) for step in _milestones(diagnosis)]
-    last = times_floor(diagnosis.steps[-1].held_out_level)
-    verdict = ", which is noise" if last <= NAMED_WITHIN else ""
+    verdict = ", which is noise" if explained(diagnosis.steps[-1].held_out_level) else ""
     return f"On held-out data the gap is, in times of the noise floor, {listed(parts)}{verdict}."
 
 
 def closed_sentence(diagnosis: Diagnosis) -> str:
     """What calibration and effects took away; "" where there was no gap to close."""
     first = times_floor(diagnosis.steps[0].held_out_level)
-    if not math.isfinite(diagnosis.closed) or first <= NAMED_WITHIN:
+    if not math.isfinite(diagnosis.closed) or explained(diagnosis.steps[0].held_out_level):
         return ""
     whole = exact_percent(closed_share(diagnosis.closed))
     if not diagnosis.findings:

@@ -16,3 +16,13 @@ UNDAMPED_DEVIATION = 0.02
 """Let a damping that is nominally zero be so much of the critical one, as a standard deviation."""
 FOLLOWED = 1e-3
 """Count this share of an output, root mean square, as noise in any case: steps and smoothed corners leave as much."""
+
+
+def explained(*levels: float) -> bool:
+    """Whether a model explains the data of which it leaves these mean squares, in units of the noise floor.
+
+    Example:
+        >>> explained(1.02), explained(1.02, 1.6), explained(float("nan"))
+        (True, False, False)
+    """
+    return all(level <= NEAR_FLOOR for level in levels)

@@ -4,8 +4,9 @@
 (stiffnesses off by up to 5 %, dampings by up to 30 %), records with white noise of 1 %, and the truth. The classical
 Runge-Kutta rule runs all records side by side; inputs are broadband and held between samples.
 
-`effects`: names that count as right where the truth has one in the catalogue (wrong masses, one-way friction, offsets,
-lags), empty where it has none. `law`: the hidden force of the motion named by `motion`, None where it is no such force.
+`effects`: names that count as right where the truth has one in the catalogue (one-way friction, offsets, lags), empty
+where it has none; any one of them, or all where `needs_all`. `place`: where it is, empty where no element holds it.
+`law`: the hidden force of the motion named by `motion`, None where it is no such force.
 Nothing here imports okid, era or modal.
 """
 
@@ -49,6 +50,8 @@ class OutsideCase:
     fit: tuple[OutsideRecord, ...]
     held_out: tuple[OutsideRecord, ...]
     effects: tuple[str, ...]
+    needs_all: bool
+    place: str
     law: Callable[[np.ndarray], np.ndarray] | None
     motion: str
     stiffness: float
@@ -85,7 +88,7 @@ SHARP = {
 OTHER = (
     "van_der_pol", "parametric_stiffness", "maxwell", "lugre", "two_hidden_masses", "actuator_lag", "sensor_lag",
     "cross_talk", "record_offsets", "wrong_mass", "second_input", "base_motion", "one_way_friction", "quantised",
-    "faint_quintic", "pendulum", "clipped", "late_sensor", "coloured_noise",
+    "faint_quintic", "pendulum", "clipped", "late_sensor", "coloured_noise", "wrong_chain_mass",
 )  # fmt: skip
 KINDS = (*STIFFNESS, *DAMPING, *SHARP, *OTHER)
 """New ones stand at the end: the seed counts from the place."""
@@ -99,6 +102,14 @@ RIGHT = {
     "one_way_friction": ("coulomb_friction", "constant_force"),
     "pendulum": ("sine_softening",),
 }
+ALONE = ("input_gain", "sensor_gain")
+"""Another mass of one degree of freedom, stiffness and damping free, is a gain."""
+NEEDS_ALL = ("one_sided_friction",)
+"""Half of it pushes back either way, and half stays."""
+NOT_OF_AN_ELEMENT = (
+    "actuator_lag", "sensor_lag", "cross_talk", "record_offsets", "wrong_mass", "wrong_chain_mass", "second_input",
+    "base_motion", "quantised", "clipped", "late_sensor", "coloured_noise",
+)  # fmt: skip
 
 
 def _noise(rng, n_samples, highest):
@@ -151,6 +162,8 @@ def outside_case(kind, seed):  # noqa: PLR0912 - one branch a kind
     if kind == "one_way_friction":
         return _motor(rng, kind, seed)
     n = 2 if kind in ("wrong_mass", "cross_talk", "second_input", "base_motion", "late_sensor") else 1
+    if kind == "wrong_chain_mass":
+        n = (1, 3, 4)[rng.integers(3)]
     frequency = rng.uniform(2.0, 8.0)
     masses = rng.uniform(1.0, 4.0, n)
     stiffnesses = masses * (2 * np.pi * frequency) ** 2 * rng.uniform(1.0, 1.6, n)
@@ -162,7 +175,7 @@ def outside_case(kind, seed):  # noqa: PLR0912 - one branch a kind
     drive = size * np.array(LEVELS)[:, None, None] * waves[:, :, None]
     extra = size * np.array([_noise(rng, n_samples, 0.1) for _ in LEVELS])
     true_masses = masses.copy()
-    if kind == "wrong_mass":
+    if kind in ("wrong_mass", "wrong_chain_mass"):
         true_masses[rng.integers(n)] *= 1 + rng.choice([-1, 1]) * rng.uniform(0.05, 0.2)
     inverse = 1.0 / true_masses
 
@@ -285,7 +298,8 @@ def outside_case(kind, seed):  # noqa: PLR0912 - one branch a kind
         kind=kind, seed=seed, masses=masses, true_masses=true_masses,
         stiffnesses=stiffnesses * rng.uniform(0.95, 1.05, n), dampings=dampings * rng.uniform(0.7, 1.3, n),
         sensor_kind="displacement", rotary=False, fit=records[:-1],
-        held_out=records[-1:], effects=RIGHT.get(kind, ()),
+        held_out=records[-1:], effects=RIGHT.get(kind, ALONE if kind == "wrong_chain_mass" and n == 1 else ()), needs_all=kind in NEEDS_ALL,
+        place="" if kind in NOT_OF_AN_ELEMENT else "element_0",
         law=None if kind in ("stribeck", "one_sided_friction") else hidden,
         motion=motion, stiffness=stiffnesses[0], damping=dampings[0],
     )  # fmt: skip
@@ -339,6 +353,7 @@ def _motor(rng, kind, seed):
     return OutsideCase(
         kind=kind, seed=seed, masses=np.array([J]), true_masses=np.array([J]), stiffnesses=np.array([0.0]),
         dampings=np.array([b * rng.uniform(0.7, 1.3)]),
-        sensor_kind="velocity", rotary=True, fit=records[:-1], held_out=records[-1:], effects=RIGHT[kind], law=None,
+        sensor_kind="velocity", rotary=True, fit=records[:-1], held_out=records[-1:], effects=RIGHT[kind],
+        needs_all=False, place="element_0", law=None,
         motion="velocity", stiffness=0.0, damping=b,
     )  # fmt: skip

@@ -21,7 +21,7 @@ from modal.effects.effect import Effect, is_sharp
 from modal.simulation.assembly import Assembly, Unknowns, assemble
 from modal.simulation.plant import released_masses, with_masses
 from modal.simulation.scheme import Budget
-from modal.simulation.tolerances import AT_FLOOR, NEAR_FLOOR
+from modal.simulation.tolerances import AT_FLOOR, explained
 from modal.simulation.trajectory import SHARP
 from okid.arrays import FloatArray
 
@@ -373,13 +373,13 @@ def counts(parent: Node, child: Node, task: Task) -> bool:
     if not np.isfinite(child.held_out_level):
         return False
     falls = child.held_out_level <= (1.0 - SMALLEST_FALL) * parent.held_out_level
-    unseen = parent.held_out_level <= NEAR_FLOOR and parent.fit_level > MOST_ON_FIT and explains_both(child)
+    unseen = explained(parent.held_out_level) and parent.fit_level > MOST_ON_FIT and explains_both(child)
     return (falls or unseen) and log_likelihood_gain(parent, child, task) > SMALLEST_GAIN
 
 
 def explains_both(node: Node) -> bool:
     """Whether a model explains the held-out records, and those to fit so far that it may be named."""
-    return node.held_out_level <= NEAR_FLOOR and node.fit_level <= MOST_ON_FIT
+    return explained(node.held_out_level) and node.fit_level <= MOST_ON_FIT
 
 
 WIDER = 4.0
@@ -452,7 +452,7 @@ def with_released_masses(node: Node, task: Task) -> Node | None:
     if start is None:
         return None
     found = node_of(fitted_either_way(start, task.fit, iterations=ITERATIONS), task)
-    return needed_masses(found, task) if found.held_out_level <= NEAR_FLOOR else found
+    return needed_masses(found, task) if explained(found.held_out_level) else found
 
 
 def needed_masses(node: Node, task: Task) -> Node:

@@ -12,7 +12,7 @@ from modal.discrepancy.fitting.observer_form import observer_gain
 from modal.discrepancy.selection.screening import Candidate
 from modal.simulation.assembly import Assembly, Unknowns
 from modal.simulation.scheme import Budget, simulation_work
-from modal.simulation.tolerances import NEAR_FLOOR
+from modal.simulation.tolerances import explained
 from modal.simulation.trajectory import SHARP
 from okid.arrays import FloatArray
 
@@ -182,9 +182,9 @@ def _outdone(candidate: Candidate, leader: _Begun, observed: Estimate) -> bool:
 
     Either the screen promised much less of the candidate, or it is the same law with another shape to start from.
     """
-    clear = observed.level > NEAR_FLOOR and leader.fit.level - 1.0 <= CLEAR * (observed.level - 1.0)
+    clear = not explained(observed.level) and leader.fit.level - 1.0 <= CLEAR * (observed.level - 1.0)
     same = (candidate.key, candidate.where) == (leader.candidate.key, leader.candidate.where)
-    return clear and (candidate.fall < MUCH_LESS * leader.candidate.fall or (same and leader.fit.level <= NEAR_FLOOR))
+    return clear and (candidate.fall < MUCH_LESS * leader.candidate.fall or (same and explained(leader.fit.level)))
 
 
 def _finished(race: Sequence[_Begun], task: Task, stage: Budget) -> list[Estimate]:
@@ -204,7 +204,7 @@ def _finished(race: Sequence[_Begun], task: Task, stage: Budget) -> list[Estimat
 
 def _may_lead(one: _Begun, leader: _Begun) -> bool:
     """Whether a fit is not far behind the best one, or promised as much while that explains too little."""
-    if leader.fit.level > NEAR_FLOOR and one.candidate.fall >= MUCH_LESS * leader.candidate.fall:
+    if not explained(leader.fit.level) and one.candidate.fall >= MUCH_LESS * leader.candidate.fall:
         return True
     return one.fit.cost <= BEHIND * leader.fit.cost
 

@@ -41,7 +41,7 @@ from modal.localisation.evidence import Location, locate
 from modal.localisation.gap import measure_gap
 from modal.localisation.levels import level_modes
 from modal.localisation.lines import measure_lines
-from modal.simulation.tolerances import NEAR_FLOOR
+from modal.simulation.tolerances import NEAR_FLOOR, explained
 from modal.structure.checks import SensorKind
 from modal.structure.given import Given, given_model
 from modal.structure.plant_model import PlantModel
@@ -62,7 +62,7 @@ def proved(
     """
     before = unproved(runs, realisation)
     status, warnings = decision.status, found.warnings
-    enough = proof.held_out_level <= NEAR_FLOOR
+    enough = explained(proof.held_out_level)
     if status != "unresolved" and not enough:
         status = "unresolved"
         said = (
@@ -100,7 +100,7 @@ def without_search(runs: Runs, floor: NoiseFloor, location: Location, warnings: 
     # the floor of a nonlinear system without repeats counts motion as noise
     spread = np.array([np.nanstd(record.outputs, axis=0) for record in runs.held_out])
     follows = bool((before.rmse <= USEFUL * spread).all())
-    fits = follows and max(before.fit_level, before.held_out_level) <= NEAR_FLOOR
+    fits = follows and explained(before.fit_level, before.held_out_level)
     found = Diagnosis(
         status="none" if fits else "unresolved",
         findings=(),
@@ -128,7 +128,7 @@ def without_search(runs: Runs, floor: NoiseFloor, location: Location, warnings: 
 
 def _only_rough(decision: Decision) -> bool:
     """Whether nothing but the size of what the linear part leaves stands against the name."""
-    return len(decision.reasons) == 1 and decision.node.held_out_level > NEAR_FLOOR and bool(decision.runners)
+    return len(decision.reasons) == 1 and not explained(decision.node.held_out_level) and bool(decision.runners)
 
 
 def _with_residual(

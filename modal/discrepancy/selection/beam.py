@@ -51,7 +51,7 @@ from modal.discrepancy.selection.screening import Candidate, screen_candidates
 from modal.discrepancy.selection.smaller_models import Law, is_limit, merged, simple_first
 from modal.effects.effect import Effect, ForceEffect
 from modal.simulation.assembly import Assembly, Unknowns
-from modal.simulation.tolerances import AT_FLOOR, NEAR_FLOOR
+from modal.simulation.tolerances import AT_FLOOR, explained
 from modal.simulation.trajectory import SHARP
 
 PLACES, SHAPES = 2, 2
@@ -196,7 +196,7 @@ def expand(node: Node, task: Task) -> list[Node]:
 def _clear(found: Sequence[Node], node: Node) -> bool:
     """Whether one explains nearly everything in free run too: in observer form the outputs hide what is left."""
     clear = [one for one in found if one.fit_level - 1.0 <= CLEAR * (node.fit_level - 1.0)]
-    return any(not one.by_record or one.held_out_level <= NEAR_FLOOR for one in clear)
+    return any(not one.by_record or explained(one.held_out_level) for one in clear)
 
 
 def _judged(finalists: Sequence[Estimate], task: Task, known: Mapping[int, Node], *, reach: float) -> list[Node]:
@@ -267,7 +267,7 @@ def _enough(fit: Estimate, finished: dict[int, Node], node: Node, task: Task) ->
 
 
 def _nearly(runs: Sequence[Estimate], node: Node) -> bool:
-    return any(run.level <= (NEAR_FLOOR if node.effects else AT_FLOOR) for run in runs)
+    return any(explained(run.level) if node.effects else run.level <= AT_FLOOR for run in runs)
 
 
 def _free_run(fit: Estimate, task: Task, smoothing: float) -> Estimate | None:

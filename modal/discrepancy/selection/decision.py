@@ -47,7 +47,7 @@ from modal.effects.catalogue import effect_name, effects_at
 from modal.effects.effect import is_form_free
 from modal.simulation.assembly import EffectPlacement
 from modal.simulation.scheme import Budget
-from modal.simulation.tolerances import AT_FLOOR, NEAR_FLOOR, SURE
+from modal.simulation.tolerances import AT_FLOOR, NEAR_FLOOR, SURE, explained
 from modal.structure.placed import possible_places
 from modal.wording.text import listed, number, percent, times_floor_text
 from okid.arrays import TINY, BoolArray
@@ -239,7 +239,7 @@ def _judged(best: Node, others: Sequence[Node], root: Node, task: Task, fits: Se
             reasons.append(_as_well(rival, best, task))
     tests = lack_of_fit(best, task, known=len(root.effects))
     refused, notes = what_is_left(tests, best, root)
-    if best.held_out_level > NEAR_FLOOR:
+    if not explained(best.held_out_level):
         reasons.append(
             f"the held-out gap is still {times_floor_text(best.held_out_level)} times the noise floor (limit "
             f"{times_floor_text(NEAR_FLOOR)})"
@@ -267,7 +267,7 @@ def _judged(best: Node, others: Sequence[Node], root: Node, task: Task, fits: Se
 
 def _only_masses(best: Node, root: Node, nodes: Sequence[Node], task: Task) -> Decision:
     """Other masses explain the data: no effect is missing, unless one that is no more than they leads or comes near."""
-    best = needed_masses(best, task) if best.held_out_level <= NEAR_FLOOR else best
+    best = needed_masses(best, task) if explained(best.held_out_level) else best
     if not best.masses:
         return _nothing(root, task)
     most = criterion(best, root, task) + EVEN
@@ -276,13 +276,13 @@ def _only_masses(best: Node, root: Node, nodes: Sequence[Node], task: Task) -> D
         node for node in near if not _hung(node, best, root) or log_likelihood_gain(best, node, task) > SMALLEST_GAIN
     ]
     rivals = sorted({effects_at(node.effects) for node in near if len(node.effects) > len(root.effects)})
-    others, far = masses_text(best.masses), max(best.held_out_level, best.fit_level) > NEAR_FLOOR
+    others, far = masses_text(best.masses), not explained(best.held_out_level, best.fit_level)
     does = "comes as near to the data as" if far else "explains the data as well as"
     reasons = [f"{rival} {does} {others}" for rival in rivals]
     tests = lack_of_fit(best, task, known=len(root.effects))
     worst = worst_left(tests)
     if far:
-        held = best.held_out_level > NEAR_FLOOR
+        held = not explained(best.held_out_level)
         reasons.append(
             f"{others} {'is' if len(best.masses) == 1 else 'are'} not all: on the "
             f"{'held-out records' if held else 'records to fit'} the gap is still "
@@ -355,7 +355,7 @@ def _undetermined(best: Node, root: Node, task: Task) -> list[str]:
 def _unproved(best: Node, root: Node) -> list[str]:
     """Why a model that explains the held-out records is still not firm."""
     reasons = []
-    if best.held_out_level <= NEAR_FLOOR and best.fit_level > MOST_ON_FIT:
+    if explained(best.held_out_level) and best.fit_level > MOST_ON_FIT:
         reasons.append(
             f"on the records to fit the gap is still {times_floor_text(best.fit_level)} times the noise floor (limit "
             f"{times_floor_text(MOST_ON_FIT)})"
@@ -370,8 +370,7 @@ def _unproved(best: Node, root: Node) -> list[str]:
 
 def _untried(best: Node, task: Task, *, most: float) -> list[str]:
     """Whether models with no more effects were left untried, or any where the best does not explain the data."""
-    explained = best.held_out_level <= NEAR_FLOOR
-    if not task.budget.spent or (explained and task.budget.untried > most):
+    if not task.budget.spent or (explained(best.held_out_level) and task.budget.untried > most):
         return []
     words = (
         "the search was ended before every effect was tried, because it cost as much as it may: what is missing may "
@@ -382,14 +381,14 @@ def _untried(best: Node, task: Task, *, most: float) -> list[str]:
 
 def _nothing(root: Node, task: Task) -> Decision:
     """No effect is found: nothing is missing where the linear model explains the data, and else what is stays open."""
-    explained = max(root.held_out_level, root.fit_level) <= NEAR_FLOOR
-    absorbed = absorbed_gain(root, task) if explained else None
+    explains = explained(root.held_out_level, root.fit_level)
+    absorbed = absorbed_gain(root, task) if explains else None
     if absorbed is not None:
         return _absorbed(root, absorbed)
     tests = lack_of_fit(root, task)
     worst = worst_left(tests)
     words = "" if worst is None else worst_text(worst)
-    if explained:
+    if explains:
         left = (f"no effect that was tried counts, but {words}",) if words else ()
         status: Literal["none", "unresolved"] = "unresolved" if left else "none"
         notes = (LIKE_NOISE,) if root.held_out_level > AT_FLOOR and not left else ()
@@ -432,14 +431,15 @@ def _best(nodes: Sequence[Node], root: Node, task: Task) -> Node:
     alone decides among those with the fewest effects.
     """
     nodes = [node for node in nodes if explains_both(node)] or nodes
-    if min(node.held_out_level for node in nodes) > NEAR_FLOOR:
+    if not any(explained(node.held_out_level) for node in nodes):
         nodes = [node for node in nodes if node is not root and not node.by_record] or nodes
     lowest = min(node.held_out_level for node in nodes)
     if not np.isfinite(lowest):
         return root
     enough = max(SAME * lowest, 1.0)
     good = [node for node in nodes if node.held_out_level <= enough]
-    within = [node for node in nodes if node.held_out_level <= min(NEAR_FLOOR, (1.0 + SMALLEST_FALL) * enough)]
+    near = [node for node in nodes if node.held_out_level <= (1.0 + SMALLEST_FALL) * enough]
+    within = [node for node in near if explained(node.held_out_level)]
     fewest = min(_size(node) for node in (within or good))
     equals = [node for node in (within or good) if _size(node) == fewest]
     if lowest > FAR_ABOVE:

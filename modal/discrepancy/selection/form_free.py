@@ -21,7 +21,7 @@ from modal.discrepancy.selection.lack_of_fit import lack_of_fit, what_is_left
 from modal.effects.smooth_law import N_POINTS, SmoothLaw
 from modal.simulation.assembly import Unknowns
 from modal.simulation.scheme import Budget
-from modal.simulation.tolerances import NEAR_FLOOR
+from modal.simulation.tolerances import explained
 from okid.arrays import FloatArray
 
 MOST_WORK = 5e7
@@ -63,7 +63,7 @@ def curves_beside(parent: Node, root: Node, task: Task) -> list[Node]:
     found = expand(parent, replace(task, catalogue=task.form_free, budget=budget, reached=reached))
     found = [one for one in found if one.held_out is not None and len(one.effects) > len(parent.effects)]
     ranked = sorted(found, key=lambda node: node.held_out_level)  # other masses are no law
-    near = [node for node in ranked if node.held_out_level <= NEAR_FLOOR] or [
+    near = [node for node in ranked if explained(node.held_out_level)] or [
         node for node in ranked[:1] if node.fit_level <= near_enough
     ]
     each = (next((one for one in chain([node], _finer(node, task)) if _passes(one, root, task)), None) for node in near)
@@ -104,7 +104,7 @@ def unsettled(node: Node, task: Task, motion: FloatArray) -> FloatArray:
 
 def _passes(node: Node, root: Node, task: Task) -> bool:
     """Whether a model explains the data and leaves nothing of its own motion, nor much else."""
-    if not max(node.fit_level, node.held_out_level) <= NEAR_FLOOR:
+    if not explained(node.fit_level, node.held_out_level):
         return False
     return not what_is_left(lack_of_fit(node, task, known=len(root.effects)), node, root)[0]
 

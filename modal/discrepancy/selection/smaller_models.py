@@ -47,7 +47,7 @@ from modal.discrepancy.fitting.nodes import (
 )
 from modal.effects.catalogue import CATALOGUE
 from modal.simulation.assembly import Assembly, EffectPlacement, Unknowns, place_effect
-from modal.simulation.tolerances import NEAR_FLOOR
+from modal.simulation.tolerances import explained
 from modal.simulation.trajectory import SHARP, Sensitivity
 from modal.structure.reciprocity import INTERNAL_FORCE
 from okid.arrays import TINY, FloatArray
@@ -114,7 +114,7 @@ def merged(node: Node, task: Task) -> Node | None:
 def at_limits(node: Node, task: Task) -> list[Node]:
     """A model that explains the data, refitted with one law at a limit of it, whose amplitudes are the law's own."""
     fitted, found = node.coarse, list[Node]()
-    for i, item in enumerate(fitted.assembly.placements if node.held_out_level <= NEAR_FLOOR else ()):
+    for i, item in enumerate(fitted.assembly.placements if explained(node.held_out_level) else ()):
         span, rich = fitted.assembly.common_of(i), _amplitudes(item)
         for key in item.effect.limits:
             there = (key, item.where) in node.effects
@@ -314,7 +314,7 @@ def _with_gain(root: Node, alone: Estimate | None, key: str, where: str, task: T
     if start is None:
         return None
     node = node_of(_settled(fitted_either_way(start, task.fit, iterations=ITERATIONS), task), task)
-    if alone is None or max(node.fit_level, node.held_out_level) > NEAR_FLOOR:
+    if alone is None or not explained(node.fit_level, node.held_out_level):
         return None
     if alone.cost - node.coarse.cost <= SMALLEST_GAIN:
         return None

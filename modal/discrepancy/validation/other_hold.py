@@ -20,7 +20,7 @@ import numpy as np
 from modal.discrepancy.results import Diagnosis
 from modal.effects.catalogue import effects_at
 from modal.effects.effect import Effect
-from modal.simulation.tolerances import AT_FLOOR, FOLLOWED, NEAR_FLOOR, UNLIKELY
+from modal.simulation.tolerances import AT_FLOOR, FOLLOWED, UNLIKELY, explained
 from modal.wording.text import number
 from okid.arrays import FloatArray
 from okid.record import InputHold, Record
@@ -130,7 +130,7 @@ def _better(other: Diagnosis, found: Diagnosis) -> bool:
 
 
 def _explains(found: Diagnosis) -> bool:
-    return found.steps[-1].held_out_level <= NEAR_FLOOR
+    return explained(found.steps[-1].held_out_level)
 
 
 def _n_besides(found: Diagnosis) -> int:
@@ -172,7 +172,7 @@ def hold_words(diagnosis: Diagnosis) -> str:
         return ""
     frequency = highest_frequency(diagnosis.fit, np.asarray(diagnosis.noise_floor.variance)[: len(diagnosis.fit)])
     shift = np.pi * frequency * first.dt
-    unexplained = (_gap_remains(diagnosis) or _made_by_input(diagnosis)) and not _left_over(diagnosis) > shift
+    unexplained = (not _explains(diagnosis) or _made_by_input(diagnosis)) and not _left_over(diagnosis) > shift
     if shift == 0.0 or not (unexplained or has_half_a_sample(diagnosis)):
         return ""
     other = other_hold(first.input_hold)
@@ -182,10 +182,6 @@ def hold_words(diagnosis: Diagnosis) -> str:
         f"samples a period, and the input is declared {first.input_hold}. If it {why}, {_declare(other)}: "
         "a wrong hold looks like half a sample of delay, or like damping."
     )
-
-
-def _gap_remains(diagnosis: Diagnosis) -> bool:
-    return not diagnosis.steps[-1].held_out_level <= NEAR_FLOOR
 
 
 def _left_over(diagnosis: Diagnosis) -> float:
