@@ -297,8 +297,8 @@ def outside_case(kind, seed):  # noqa: PLR0912 - one branch a kind
     return OutsideCase(
         kind=kind, seed=seed, masses=masses, true_masses=true_masses,
         stiffnesses=stiffnesses * rng.uniform(0.95, 1.05, n), dampings=dampings * rng.uniform(0.7, 1.3, n),
-        sensor_kind="displacement", rotary=False, fit=records[:-1],
-        held_out=records[-1:], effects=RIGHT.get(kind, ALONE if kind == "wrong_chain_mass" and n == 1 else ()), needs_all=kind in NEEDS_ALL,
+        sensor_kind="displacement", rotary=False, fit=records[:-1], held_out=records[-1:],
+        effects=ALONE if kind == "wrong_chain_mass" and n == 1 else RIGHT.get(kind, ()), needs_all=kind in NEEDS_ALL,
         place="" if kind in NOT_OF_AN_ELEMENT else "element_0",
         law=None if kind in ("stribeck", "one_sided_friction") else hidden,
         motion=motion, stiffness=stiffnesses[0], damping=dampings[0],
