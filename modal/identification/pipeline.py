@@ -57,9 +57,10 @@ from modal.preparation.rest import RELEASED, released
 from modal.preparation.steps import Preparation, prepare
 from modal.verdict.constancy import changing_modes, unsteady_drive
 from modal.verdict.excitation import between_lines, beyond_inputs, by_chance, driven_gain, ringing, standing_out
-from modal.verdict.judgement import judge
+from modal.verdict.judgement import doubted, judge
 from modal.verdict.probability import FILTER_EDGE
 from modal.verdict.repeatability import repeat
+from modal.verdict.ring_down import ring_down_of
 from okid.arrays import FloatArray, listener, one_blas_thread, whole_number
 from okid.errors import IdentificationError, InvalidDataError
 from okid.excitation import check_excitation
@@ -389,6 +390,9 @@ def _identified(
         height=standing_out(unjudged, prepared) if kind.kind == "ambient" else None,
         ahead=late_and_early(preparation.input_delay)[1],
     )
+    bent = ring_down_of(prepared, left) if kind.kind in ("transient", "decay") else None
+    if bent is not None:
+        modes = replace(modes, modes=tuple(doubted(mode, bent.doubt) for mode in modes.modes))
     of_inputs = driven_by_inputs(modes, preparation.n_integrators)
     tell("checking residuals", 0.9)
     fitted_to = runs.records
@@ -431,6 +435,7 @@ def _identified(
         warnings=(
             *kind.warnings,
             *preparation.warnings,
+            *(() if bent is None else (bent.sentence,)),
             *unsteady,
             *(
                 changing_modes(modes, asked, left_there, output_scale=reruns.output_scale)

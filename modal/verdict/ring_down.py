@@ -1,0 +1,326 @@
+"""Does what rings down ring as a mode does? One frequency, one damping, whatever the level.
+
+Dry friction lets a motion die away along a line and then stop, drag takes most at the start, and a spring that is not
+linear, or a bearing that creeps before it slides, has another frequency at each level. From one reversal to the next
+such an oscillator is nearly linear: with the size A of what it begins the half cycle with,
+
+    x'' + 2 d x' + w^2 (x - c) = 0,   w = w0 (1 + k1 A + k2 A^2),   d = (z + p A) w,   c = f sign(x)
+    x(n+1) - c = -(x(n) - c) exp(-d pi / w_d),   at rest once |x(n)| <= f
+
+with f = F/k of dry friction F on a spring k, exact where k1, k2 and p are zero. No pole makes a line, but enough poles
+side by side follow any curve: a decay under friction is fitted down to its noise by a linear model of some twenty
+states, which are no modes and yet are found again in every part of it. So this oscillator competes by Schwarz's
+criterion with linear models of as few numbers and as many: with the one mode that it is without f, k1, k2 and p, and
+with two modes, free in every output. Two modes make any beat, and no line.
+
+References:
+    Den Hartog, Mechanical Vibrations, 4th ed., 1956, section 8.6; Feldman, Hilbert transform in vibration analysis,
+    Mech. Syst. Signal Process. 25, 2011, https://doi.org/10.1016/j.ymssp.2010.07.018; Schwarz, Annals of Statistics 6,
+    1978, 461-464, https://doi.org/10.1214/aos/1176344136.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from modal.wording.text import hertz, percent
+from okid.arrays import BoolArray, FloatArray
+from okid.record import Record
+
+FEWEST = 40
+"""Ask nothing of fewer rows."""
+MOST_ROWS = 4000
+"""Take every so manieth row of longer records: a few dozen cycles and where they stop show as well in fewer,"""
+A_CYCLE = 8
+"""but no fewer rows a cycle."""
+EVIDENCE = 10.0
+"""Believe in the oscillator where the criterion falls by so much: odds of 150 to 1."""
+CLOSELY = 2.0
+"""Ask that the oscillator leaves at most so many times what the linear model leaves, root mean square: where several
+modes ring, neither it nor two modes explain much."""
+FIRST = 3.0
+"""Begin the fit with no more cycles than twice this,"""
+FRICTIONS = (0.0, 0.005, 0.01, 0.02, 0.04, 0.08)
+"""with these shares of friction, the spring's force at the start being 1,"""
+DAMPINGS = (0.0, 0.003, 0.01, 0.03)
+"""these damping ratios besides,"""
+PHASES = 12
+"""and so many phases of a turn."""
+HEAVIEST = 0.3
+"""Take more damping than this for no ringing."""
+MOST_DAMPED = 0.9
+"""Keep an oscillator that is tried below what no longer turns."""
+MOST_BENT = 0.3
+"""Let frequency and damping change by no more than this with the level."""
+LATER = 0.1
+"""Say what damping and frequency are at this share of the level at the start."""
+MODE = np.array([True, True, True, False, False, False, False])
+"""Parameters of one linear mode: angular frequency, damping ratio, phase; and not friction, p, k1, k2."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class RingDown:
+    """An oscillator that explains decays better than two linear modes.
+
+    Attributes:
+        frequency: at the start and at `LATER` of its level [Hz].
+        damping_ratio: of one mode that would lose as much in a cycle, at the same levels.
+        friction: force of dry friction over that of the spring at the start.
+        drag: p, damping ratio for the level at the start.
+        gain: rms that two modes leave over that which the oscillator leaves.
+    """
+
+    frequency: tuple[float, float]
+    damping_ratio: tuple[float, float]
+    friction: float
+    drag: float
+    gain: float
+
+    @property
+    def sentence(self) -> str:
+        """What was found, and what to do."""
+        viscous = self.damping_ratio[0] - _lost(self.friction, 1.0) - self.drag
+        if _lost(self.friction, LATER) > viscous + LATER * self.drag:
+            like = f"as under dry friction of {percent(self.friction)} of the spring's force at the start"
+        elif self.drag > viscous + _lost(self.friction, 1.0):
+            like = "as under drag"
+        else:
+            like = "as with a spring that is not linear"
+        damping, later = (percent(ratio) for ratio in self.damping_ratio)
+        first, last = (hertz(frequency) for frequency in self.frequency)
+        return (
+            f"What rings at {first} Hz does not die away as a mode does, but {like}: damping {damping} at the start, "
+            f"{later} at {percent(LATER)} of that level, where it rings at {last} Hz. Such an oscillator explains the "
+            f"decay {self.gain:.2g} times as closely as two modes do, so no mode is certain; `modal-report gap` tells "
+            "friction, drag and springs apart."
+        )
+
+    @property
+    def doubt(self) -> str:
+        """The reason of each mode."""
+        return f"what rings at {hertz(self.frequency[0])} Hz has another damping or frequency at each level"
+
+
+def _lost(friction: float, level: float) -> float:
+    """Damping ratio of what loses as much in a cycle, 4 F A = 2 pi zeta k A^2, as dry friction of F/k at level A."""
+    return 2.0 * friction / (np.pi * level)
+
+
+def ring_down_of(records: Sequence[Record], left: Sequence[FloatArray]) -> RingDown | None:
+    """The oscillator whose damping or frequency depends on its level, if it explains decays better than modes.
+
+    Args:
+        records: that ring down once their inputs are zero.
+        left: (n_samples, n_outputs) a record, what the linear model with all its states leaves.
+
+    Example:
+        >>> x, _, _ = motion(np.array([2 * np.pi, 0.002, 0.3, 0.03, 0.0, 0.0, 0.0]), 0.02 * np.arange(400))
+        >>> noise = 1e-3 * np.random.default_rng(1).standard_normal((400, 1))
+        >>> found = ring_down_of([Record([], x[:, np.newaxis] + noise, 0.02)], [noise])
+        >>> round(found.frequency[0], 2), round(found.friction, 3)
+        (1.0, 0.03)
+    """
+    misfits, price, found = np.zeros(3), np.zeros(3), []
+    n_outputs = records[0].n_outputs
+    for record, errors in zip(records, left, strict=True):
+        rows = _free_rows(record)
+        if len(rows) < FEWEST or not np.ptp(record.outputs[rows], axis=0).all():
+            return None
+        seen = record.outputs[rows] - record.outputs[rows].mean(axis=0)
+        size = seen.std(axis=0)
+        seen, linear = seen / size, np.nan_to_num(errors[rows] / size)
+        times = (rows - rows[0]).astype(np.float64)
+        own = _fitted(times, seen, np.ones_like(MODE), linear)
+        if own is None:
+            return None
+        one = _fitted(times, seen, MODE)
+        assert one is not None  # nothing was asked of it
+        misfits += (own[0], one[0], _two_modes(times, seen, one[1]))
+        price += np.log(len(rows)) * np.array(
+            [len(MODE) + 2 * n_outputs, MODE.sum() + 2 * n_outputs, 4 + 5 * n_outputs]
+        )
+        found.append((len(rows), own[1], record.dt))
+    total = misfits + price
+    if not total[0] + EVIDENCE < min(total[1], total[2]):
+        return None
+    _, (angular, damping, _, friction, drag, bend, more), dt = found[0]
+    n_values = n_outputs * sum(n_rows for n_rows, _, _ in found)
+    frequencies = [angular * (1.0 + bend * at + more * at**2) / (2 * np.pi * dt) for at in (1.0, LATER)]
+    ratios = [damping + drag * at + _lost(friction, at) for at in (1.0, LATER)]
+    return RingDown(
+        frequency=(float(frequencies[0]), float(frequencies[1])),
+        damping_ratio=(float(ratios[0]), float(ratios[1])),
+        friction=float(friction),
+        drag=float(drag),
+        gain=float(np.exp((misfits[2] - misfits[0]) / (2 * n_values))),
+    )
+
+
+def _free_rows(record: Record) -> NDArray[np.intp]:
+    """Rows in which nothing drives and something moves."""
+    free: BoolArray = np.asarray(np.isfinite(record.outputs).all(axis=1))
+    free[: np.flatnonzero((record.inputs != 0.0).any(axis=1)).max(initial=-1) + 1] = False
+    moves = (np.diff(record.outputs, axis=0) != 0.0).any(axis=1)  # a sensor that stands still tells nothing more
+    free[np.flatnonzero(moves).max(initial=0) + 2 :] = False
+    rows = np.flatnonzero(free)
+    if len(rows) < FEWEST:
+        return rows
+    turns = _turns(record.outputs[rows] - record.outputs[rows].mean(axis=0))
+    return rows[:: max(1, min(len(rows) // MOST_ROWS, int(2 * np.pi / (A_CYCLE * turns))))]
+
+
+def motion(parameters: FloatArray, times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Displacement, velocity and acceleration (n,) of the oscillator, from a start of unit size.
+
+    Args:
+        parameters: angular frequency, damping ratio, phase of the start, f, p, k1, k2.
+        times: (n,) rising, in the unit of the frequency's inverse.
+    """
+    base, ratio, phase, friction, drag, bend, more = (float(value) for value in parameters)
+    size, t = 1.0, float(times[0])
+    x, v = np.cos(phase), -base * (1.0 + bend + more) * np.sin(phase)
+    arcs = []
+    while t <= times[-1]:
+        if not v:
+            size = abs(x)
+            if size <= friction:  # the spring no longer moves it
+                arcs.append((t, x, 0.0, 0.0, base, 0.0, base))
+                break
+        angular = base * (1.0 + bend * size + more * size**2)
+        damping = min(ratio + drag * size, MOST_DAMPED)
+        decay, turning = damping * angular, angular * np.sqrt(1.0 - damping**2)
+        way = np.sign(v) if v else -np.sign(x)
+        centre = -way * friction
+        off = x - centre
+        arcs.append((t, centre, off, v, angular, decay, turning))
+        against = (decay * v + angular**2 * off) / turning
+        turned = np.arctan2(way * v, way * against) if v else np.pi  # until the speed is zero
+        pulled = off * np.cos(turned) + (v + decay * off) / turning * np.sin(turned)
+        x, v, t = centre + np.exp(-decay * turned / turning) * pulled, 0.0, t + turned / turning
+    table = np.array(arcs)
+    begun, around, place, speed, angulars, decays, turns = table[
+        np.searchsorted(table[:, 0], times, side="right") - 1
+    ].T
+    since = times - begun
+    cosine, sine, shrunk = np.cos(turns * since), np.sin(turns * since) / turns, np.exp(-decays * since)
+    away = shrunk * (place * cosine + (speed + decays * place) * sine)
+    velocity = shrunk * (speed * cosine - (decays * speed + angulars**2 * place) * sine)
+    return around + away, velocity, -(angulars**2) * away - 2.0 * decays * velocity
+
+
+def _turns(values: FloatArray) -> float:
+    """Angular frequency [rad/sample] of the strongest line."""
+    size = 4 * len(values)
+    window = np.hanning(2 * len(values))[len(values) :, np.newaxis]  # a decay is strongest at its start
+    power = (np.abs(np.fft.rfft(window * values, size, axis=0)) ** 2).sum(axis=1)
+    power[:4] = 0.0  # the level
+    return float(2 * np.pi * np.argmax(power) / size)
+
+
+def _left(basis: FloatArray, seen: FloatArray) -> FloatArray:
+    """(n, n_outputs) what the best offset and sizes of these columns leave of each output."""
+    rotated, _ = np.linalg.qr(np.column_stack([np.ones(len(basis)), basis]))
+    return np.asarray(seen - rotated @ (rotated.T @ seen))
+
+
+def _longer(times: FloatArray, turns: float) -> list[int]:
+    """Numbers of rows, rising: over all of a record a frequency that is off by half a cycle leads nowhere."""
+    numbers = [len(times)]
+    while numbers[-1] > FEWEST and times[numbers[-1] - 1] > FIRST * 2 * np.pi / turns:
+        numbers.append(max(FEWEST, numbers[-1] // 2))
+    return numbers[::-1]
+
+
+def _grown(
+    columns: Callable[[FloatArray, FloatArray], FloatArray],
+    start: FloatArray,
+    bounds: tuple[FloatArray, FloatArray],
+    data: tuple[FloatArray, FloatArray],
+    linear: FloatArray | None = None,
+) -> tuple[float, FloatArray] | None:
+    """Misfit and parameters, the first cycles fitted first and more of the record then.
+
+    None as soon as more is left than `CLOSELY` times what a linear model leaves in the same rows.
+    """
+    times, seen = data
+    turns = _turns(seen)
+    scale = np.where(np.isfinite(bounds[1]), 0.02 * bounds[1], 0.1)
+    for n in _longer(times, turns):
+        fit = scipy.optimize.least_squares(
+            lambda values, n=n: _left(columns(values, times[:n]), seen[:n]).ravel(),
+            np.clip(start, bounds[0] + 1e-9, bounds[1] - 1e-9),
+            bounds=bounds,
+            x_scale=scale,
+            max_nfev=50,
+        )
+        start = fit.x
+        if linear is not None and 2.0 * fit.cost > CLOSELY**2 * float(np.square(linear[:n]).sum()):
+            return None
+    return _misfit(_left(columns(start, times), seen)), start
+
+
+def _fitted(
+    times: FloatArray, seen: FloatArray, free: BoolArray, linear: FloatArray | None = None
+) -> tuple[float, FloatArray] | None:
+    """Misfit and parameters of the oscillator, of which some are free and the others zero.
+
+    None where it leaves far more than `linear`, which a linear model leaves.
+    """
+    turns = _turns(seen)
+    first = slice(_longer(times, turns)[0])
+    bent = (MOST_BENT,) * 3
+    low = np.array([0.5 * turns, 0.0, -np.inf, 0.0, 0.0, *(-value for value in bent[1:])])[free]
+    high = np.array([1.5 * turns, HEAVIEST, np.inf, 0.5, *bent])[free]
+
+    def whole(values: FloatArray) -> FloatArray:
+        full = np.zeros(len(free))
+        full[free] = values
+        return full
+
+    starts = [
+        np.array([turns, damping, phase, friction, 0.0, 0.0, 0.0])[free]
+        for friction in (FRICTIONS if free[3] else (0.0,))
+        for damping in DAMPINGS
+        for phase in 2 * np.pi * np.arange(PHASES) / PHASES
+    ]
+    best = None
+    for reading in range(3 if free[3] else 1):  # displacement, velocity or acceleration, which are one for a mode
+
+        def columns(values: FloatArray, rows: FloatArray, at: int = reading) -> FloatArray:
+            return motion(whole(values), rows)[at][:, np.newaxis]
+
+        tried = [float((_left(columns(one, times[first]), seen[first]) ** 2).sum()) for one in starts]
+        found = _grown(columns, starts[int(np.argmin(tried))], (low, high), (times, seen), linear)
+        if found is not None and (best is None or found[0] < best[0]):
+            best = (found[0], whole(found[1]))
+    return best
+
+
+def _two_modes(times: FloatArray, seen: FloatArray, mode: FloatArray) -> float:
+    """Misfit of two linear modes, each with any size and phase in every output; `mode` is the one alone."""
+    turns = _turns(seen)
+    span = float(times[-1])
+
+    def columns(values: FloatArray, rows: FloatArray) -> FloatArray:
+        parts = []
+        for angular, ratio in values.reshape(2, 2):
+            wave = np.exp((-ratio + 1j * np.sqrt(1.0 - ratio**2)) * angular * rows)
+            parts += [wave.real, wave.imag]
+        return np.column_stack(parts)
+
+    bounds = (np.zeros(4), np.array([np.pi, HEAVIEST, np.pi, HEAVIEST]))
+    one = mode[:2]
+    beside = _turns(_left(columns(np.array([*one, *one]), times)[:, :2], seen))
+    decay = max(one[1], 1.0 / (turns * span))
+    seconds = [(beside, decay), (turns * (1.0 + 0.5 * decay), 3.0 * decay), (turns + np.pi / span, decay)]
+    fits = (_grown(columns, np.array([*one, *other]), bounds, (times, seen)) for other in seconds)
+    return min(fit[0] for fit in fits if fit is not None)
+
+
+def _misfit(left: FloatArray) -> float:
+    """-2 ln L of white noise of each output's own size, but for a constant."""
+    power = np.maximum(np.mean(left**2, axis=0), np.finfo(float).tiny)
+    return float(len(left) * np.log(power).sum())
