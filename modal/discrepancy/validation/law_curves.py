@@ -17,6 +17,9 @@ length k on the unit sphere, and a band of c deviations is left somewhere with t
 
     P = k / pi exp(-c^2 / 2) + 2 (1 - Phi(c))
 
+What is left of it is overlooked up to a share of the force (`SLIGHT`), and between its points no spline is the law:
+that share, of the force's root mean square along the records, belongs to the band.
+
 References:
     Sun, Loader, Simultaneous confidence bands for linear regression and smoothing, Ann. Statist. 22, 1994,
     https://doi.org/10.1214/aos/1176325631
@@ -31,6 +34,7 @@ import scipy
 
 from modal.discrepancy.fitting.estimation import Estimate, Problem
 from modal.discrepancy.results import LawCurve
+from modal.discrepancy.selection.lack_of_fit import SLIGHT
 from modal.discrepancy.validation.law_points import (
     Bins,
     Told,
@@ -123,6 +127,7 @@ class _LawTask:
         against: Literal["displacement", "velocity", "time", "input", "output"],
         units: tuple[str, str],
         loop: tuple[FloatArray, FloatArray] | None = None,
+        visited: FloatArray | None = None,
     ) -> LawCurve:
         """The law over a grid with its standard deviation, the data's points in bins, and its loop.
 
@@ -134,6 +139,7 @@ class _LawTask:
             against: What it is drawn against.
             units: Of what it is drawn against, and of the law.
             loop: Motion and force along the loudest record; None where it has no loop.
+            visited: Motion along the records, of a law of unknown form.
         """
         nothing = np.zeros(0)
         value, slope = law_at(grid)
@@ -144,15 +150,18 @@ class _LawTask:
             if found is not None:
                 knots, force, deviation = bins.knots, bin_value + found[0], found[1]
         loop_motion, loop_force = (nothing, nothing) if loop is None else loop
-        wider = whole_reach(slope, self.spread) / NINETY_FIVE if is_form_free(self.item.effect) else 1.0
+        wider, overlooked = 1.0, 0.0
+        if is_form_free(self.item.effect) and visited is not None:
+            wider = whole_reach(slope, self.spread) / NINETY_FIVE
+            overlooked = SLIGHT * float(np.sqrt(np.mean(np.interp(visited, grid, value) ** 2))) / NINETY_FIVE
+        variance = np.maximum(np.einsum("np,pq,nq->n", slope, self.spread, slope), 0.0) + (self.beside * grid) ** 2
         return LawCurve(
             effect=self.item.effect.key,
             where=self.item.where,
             against=against,
             motion=grid,
             force=value,
-            deviation=wider
-            * np.sqrt(np.maximum(np.einsum("np,pq,nq->n", slope, self.spread, slope), 0.0) + (self.beside * grid) ** 2),
+            deviation=np.sqrt(wider**2 * variance + overlooked**2),
             points_motion=knots,
             points_force=force,
             points_deviation=deviation,
@@ -342,7 +351,9 @@ def _force_curve(task: _LawTask, effect: ForceEffect, port: Port) -> LawCurve:
         force = about.acting[task.fitted.assembly.forces.index(task.placement)].force.value
         loop = _loop(motion.displacement, force, drive)
     units = along, port.force_unit
-    return task.curve(law_at, grid, bins=bins, points=points, against=reading.against, units=units, loop=loop)
+    return task.curve(
+        law_at, grid, bins=bins, points=points, against=reading.against, units=units, loop=loop, visited=run
+    )
 
 
 def _folded(
