@@ -7,11 +7,13 @@ such an oscillator is nearly linear: with the size A of what it begins the half 
     x'' + 2 d x' + w^2 (x - c) = 0,   w = w0 (1 + k1 A + k2 A^2),   d = (z + p A) w,   c = f sign(x)
     x(n+1) - c = -(x(n) - c) exp(-d pi / w_d),   at rest once |x(n)| <= f
 
-with f = F/k of dry friction F on a spring k, exact where k1, k2 and p are zero. No pole makes a line, but enough poles
-side by side follow any curve: a decay under friction is fitted down to its noise by a linear model of some twenty
-states, which are no modes and yet are found again in every part of it. So this oscillator competes by Schwarz's
-criterion with linear models of as few numbers and as many: with the one mode that it is without f, k1, k2 and p, and
-with two modes, free in every output. Two modes make any beat, and no line.
+with f = F/k of dry friction F on a spring k, exact where k1, k2 and p are zero. A bent spring makes harmonics, in first
+approximation as x^2 and x^3 do, which each output shows in its own size.
+
+No pole makes a line, but enough poles side by side follow any curve: a decay under friction is fitted down to its noise
+by a linear model of some twenty states, which are no modes and yet are found again in every part of it. So this
+oscillator competes by Schwarz's criterion with linear models of as few numbers and as many: with the one mode that it
+is without f, k1, k2 and p, and with two modes, free in every output. Two modes make any beat, and no line.
 
 References:
     Den Hartog, Mechanical Vibrations, 4th ed., 1956, section 8.6; Feldman, Hilbert transform in vibration analysis,
@@ -82,13 +84,14 @@ class RingDown:
     @property
     def sentence(self) -> str:
         """What was found, and what to do."""
-        viscous = self.damping_ratio[0] - _lost(self.friction, 1.0) - self.drag
-        if _lost(self.friction, LATER) > viscous + LATER * self.drag:
-            like = f"as under dry friction of {percent(self.friction)} of the spring's force at the start"
-        elif self.drag > viscous + _lost(self.friction, 1.0):
-            like = "as under drag"
-        else:
-            like = "as with a spring that is not linear"
+        likely = {
+            f"as under dry friction of {percent(self.friction)} of the spring's force at the start": _lost(
+                self.friction, LATER
+            ),
+            "as under drag": self.drag,
+            "as with a spring that is not linear": abs(self.frequency[0] / self.frequency[1] - 1.0),
+        }
+        like = max(likely, key=lambda words: likely[words])
         damping, later = (percent(ratio) for ratio in self.damping_ratio)
         first, last = (hertz(frequency) for frequency in self.frequency)
         return (
@@ -140,7 +143,7 @@ def ring_down_of(records: Sequence[Record], left: Sequence[FloatArray]) -> RingD
         assert one is not None  # nothing was asked of it
         misfits += (own[0], one[0], _two_modes(times, seen, one[1]))
         price += np.log(len(rows)) * np.array(
-            [len(MODE) + 2 * n_outputs, MODE.sum() + 2 * n_outputs, 4 + 5 * n_outputs]
+            [len(MODE) + 4 * n_outputs, MODE.sum() + 2 * n_outputs, 4 + 5 * n_outputs]
         )
         found.append((len(rows), own[1], record.dt))
     total = misfits + price
@@ -290,7 +293,12 @@ def _fitted(
     for reading in range(3 if free[3] else 1):  # displacement, velocity or acceleration, which are one for a mode
 
         def columns(values: FloatArray, rows: FloatArray, at: int = reading) -> FloatArray:
-            return motion(whole(values), rows)[at][:, np.newaxis]
+            x, v, a = motion(whole(values), rows)
+            if not free[3]:
+                return (x, v, a)[at][:, np.newaxis]
+            square = (x**2, 2 * x * v, 2 * v**2 + 2 * x * a)[at]
+            cube = (x**3, 3 * x**2 * v, 6 * x * v**2 + 3 * x**2 * a)[at]
+            return np.column_stack([(x, v, a)[at], square, cube])
 
         tried = [float((_left(columns(one, times[first]), seen[first]) ** 2).sum()) for one in starts]
         found = _grown(columns, starts[int(np.argmin(tried))], (low, high), (times, seen), linear)

@@ -1,0 +1,142 @@
+"""What rings down under friction, drag or a spring that is not linear is told; what modes make is not.
+
+The truth comes from `scipy.integrate.solve_ivp`, from reversal to reversal.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import modal
+import okid
+from modal.verdict.ring_down import LATER, RingDown, motion, ring_down_of
+
+DT = 0.02
+
+
+def released(n_samples, *, w=2 * np.pi * 1.3, z=0.004, friction=0.0, drag=0.0, cubic=0.0, start=(1.0, 0.0)):
+    """(n_samples,) displacement of x'' + 2 z w x' + w^2 (x + f sign(x') + d x'|x'| / w^2 + k x^3) = 0."""
+    times, x = DT * np.arange(n_samples), np.empty(n_samples)
+    t, (place, speed) = 0.0, start
+    while t < times[-1]:
+        way = np.sign(speed) if speed else -np.sign(place)
+        if not speed and abs(place + cubic * place**3) <= friction:
+            x[times >= t] = place
+            break
+
+        def slope(_, state, way=way):
+            force = state[0] + cubic * state[0] ** 3 + way * friction + drag * state[1] * abs(state[1]) / w**2
+            return [state[1], -2 * z * w * state[1] - w**2 * force]
+
+        def turns(_, state):
+            return state[1]
+
+        turns.terminal, turns.direction = True, -way
+        run = solve_ivp(
+            slope, (t, times[-1] + DT), [place, speed], events=turns, rtol=1e-10, atol=1e-12, dense_output=True,
+            first_step=1e-4,
+        )  # fmt: skip
+        there = (times >= t) & (times <= run.t[-1])
+        x[there] = run.sol(times[there])[0]
+        t, (place, speed) = run.t[-1], (run.y[0, -1], 0.0)
+    return x
+
+
+def asked(x, noise, *, seed=1, step=0.0):
+    """What is found of outputs (n, ...), with white noise or rounded to steps, beside a linear model that leaves it."""
+    outputs = np.reshape(x, (len(x), -1))
+    left = noise * np.random.default_rng(seed).standard_normal(outputs.shape)
+    seen = outputs + left if not step else step * np.round(outputs / step)
+    return ring_down_of([okid.Record([], seen, DT)], [left])
+
+
+@pytest.mark.parametrize(("noise", "step"), [(1e-3, 0.0), (1e-4, 0.0), (1e-3, 2e-3)])
+def test_dry_friction_is_told_with_its_size(noise, step):
+    found = asked(released(700, friction=0.02, start=(0.6, 6.0)), noise, step=step)
+    assert found is not None
+    assert np.allclose(found.frequency, 1.3, rtol=2e-3)
+    size = np.hypot(0.6, 6.0 / (2 * np.pi * 1.3))
+    assert abs(found.friction * size - 0.02) < 1e-3
+    assert found.damping_ratio[1] > 5 * found.damping_ratio[0]
+    assert "dry friction" in found.sentence
+
+
+def test_the_half_cycles_are_those_of_the_equation():
+    times = np.arange(700.0)
+    parameters = np.array([2 * np.pi * 1.3 * DT, 0.004, 0.0, 0.02, 0.0, 0.0, 0.0])
+    x = released(700, friction=0.02)
+    place, speed, acceleration = motion(parameters, times)
+    assert np.abs(place - x).max() < 1e-8
+    assert np.abs(np.gradient(place)[1:-1] - speed[1:-1]).max() < 2e-3
+    slides = np.abs(np.diff(acceleration)) < 0.005  # not across a reversal
+    assert np.abs((np.gradient(speed) - acceleration)[:-1][slides][1:-1]).max() < 2e-3
+
+
+def test_drag_and_a_spring_that_hardens_are_told():
+    dragged = asked(released(1500, drag=0.06), 1e-3)
+    hardens = asked(released(1500, cubic=0.3), 1e-3)
+    assert "as under drag" in dragged.sentence
+    assert dragged.damping_ratio[0] > 2 * dragged.damping_ratio[1]
+    assert "spring that is not linear" in hardens.sentence
+    assert hardens.frequency[0] > 1.05 * hardens.frequency[1]
+    assert abs(hardens.frequency[1] - 1.3) < 0.02
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_modes_are_not_accused(seed):
+    """One to six modes, close ones among them, in several outputs, with white noise or rounded."""
+    rng = np.random.default_rng(seed)
+    n_modes, n_outputs, k = seed + 1, 1 + seed % 3, np.arange(900)[:, np.newaxis]
+    frequencies = 0.03 * np.array([1.0, 1.02, 2.2, 3.1, 3.15, 5.0])[:n_modes]
+    dampings = rng.uniform(0.003, 0.03, n_modes)
+    poles = 2 * np.pi * frequencies * (-dampings + 1j * np.sqrt(1 - dampings**2))
+    sizes = rng.standard_normal((n_modes, n_outputs)) + 1j * rng.standard_normal((n_modes, n_outputs))
+    x = (np.exp(k * poles) @ sizes).real
+    assert asked(x, 2e-3, seed=seed) is None
+    assert asked(x, 2e-3, seed=seed, step=4e-3) is None
+
+
+def test_what_the_linear_model_leaves_far_below_is_not_the_oscillators():
+    x = released(700, friction=0.02)
+    with_more = np.stack([x, x], axis=1) + 0.2 * released(700, w=2 * np.pi * 4.1)[:, np.newaxis]
+    assert asked(with_more, 1e-4) is None
+    assert asked(np.stack([x, -0.4 * x], axis=1), 1e-4) is not None
+
+
+def test_rows_that_are_driven_still_or_missing_tell_nothing():
+    x = released(700, friction=0.02)
+    noise = 1e-3 * np.random.default_rng(3).standard_normal((700, 1))
+    outputs, blow = x[:, np.newaxis] + noise, np.zeros((700, 1))
+    blow[0] = 1.0
+    outputs[200:210] = np.nan
+    found = ring_down_of([okid.Record(blow, outputs, DT)], [noise])
+    assert abs(found.friction - 0.02) < 1e-3
+    still = np.concatenate([outputs, np.full((3000, 1), outputs[-1])])
+    (again,) = [ring_down_of([okid.Record([], still, DT)], [np.concatenate([noise, np.zeros((3000, 1))])])]
+    assert abs(again.friction - 0.02) < 1e-3
+    blow[-20] = 1.0
+    assert ring_down_of([okid.Record(blow, outputs, DT)], [noise]) is None
+    assert ring_down_of([okid.Record([], np.ones((200, 1)), DT)], [np.zeros((200, 1))]) is None
+
+
+def test_no_mode_is_certain_in_a_decay_under_friction():
+    x = released(343, w=2 * np.pi * 2.3, z=0.0022, friction=0.0514)
+    seen = x + 2.6e-3 * np.random.default_rng(5).standard_normal(343)
+    found = modal.identify(okid.Record([], seen, DT, output_names=["angle"], output_units=["rad"]))
+    assert found.record_kind == "decay"
+    assert not found.modes.system
+    assert any("does not die away as a mode does" in words for words in found.warnings)
+    assert any("another damping or frequency at each level" in mode.reason for mode in found.modes.modes)
+    assert all(mode.probability < 0.8 for mode in found.modes.modes)
+
+
+def test_the_sentence_says_what_takes_most():
+    plain = RingDown(frequency=(2.0, 2.0), damping_ratio=(0.02, 0.13), friction=0.02, drag=0.0, gain=3.0)
+    assert "dry friction of 2 % of the spring's force" in plain.sentence
+    assert "3 times as closely as two modes" in plain.sentence
+    assert "damping 2 % at the start, 13 % at 10 %" in plain.sentence
+    assert LATER == 0.1
+    assert "as under drag" in replace(plain, friction=0.0, drag=0.015).sentence
+    assert "not linear" in replace(plain, frequency=(2.2, 2.0), friction=0.0, drag=0.001).sentence
