@@ -32,7 +32,7 @@ from modal.localisation.lines import measure_lines
 from modal.simulation.drive import drive_of, steps_per_sample
 from modal.simulation.plant import Plant, plant_matrices
 from modal.simulation.scheme import Budget
-from modal.simulation.tolerances import AT_FLOOR, FOLLOWED, ROUNDING
+from modal.simulation.tolerances import AT_FLOOR, FOLLOWED, NEAR_FLOOR, ROUNDING
 from modal.structure.given import Given, placed_assembly
 from modal.wording.text import quantity, times_floor_text
 from okid.arrays import TINY, FloatArray
@@ -287,6 +287,7 @@ class Setup:
         floor: Noise floor of both, in this order.
         task: The search's task.
         said: What the reader must know of the floor.
+        untested: Why the floor says nothing of the best model.
     """
 
     given: Given
@@ -295,6 +296,7 @@ class Setup:
     floor: NoiseFloor
     task: Task
     said: tuple[str, ...] = ()
+    untested: tuple[str, ...] = ()
 
 
 def prepare_setup(
@@ -346,6 +348,12 @@ def prepare_setup(
     return Setup(given=given, fit=fit, held_out=held_out, floor=known, task=task)
 
 
+UNTESTED = (
+    "the records do not show their noise apart from the motion, so it was taken for what the best model leaves, and "
+    "nothing tests that model: give records of many cycles, or of some rest"
+)
+
+
 def _followed(floor: NoiseFloor, records: Sequence[Record]) -> NoiseFloor:
     """The floor, but no lower than a simulation can follow: data without noise are those of another integrator."""
     sizes = np.array([np.nanvar(record.outputs, axis=0) for record in records])
@@ -356,7 +364,8 @@ def with_uncovered_floor(setup: Setup, nodes: tuple[Node, ...], as_given: Node) 
     """The floor, lower where the best model's residual shows less noise than the records did; then the search goes on.
 
     Accelerometers under friction or impacts hide their noise below what the motion does; only a model that explains
-    the motion uncovers it.
+    the motion uncovers it. And no model leaves less than the noise: where one leaves far less than the floor, the floor
+    was none, as that of records of a cycle or two.
     """
     best = min(nodes, key=lambda node: node.held_out_level)
     if best.held_out is None:
@@ -364,7 +373,10 @@ def with_uncovered_floor(setup: Setup, nodes: tuple[Node, ...], as_given: Node) 
     records = (*setup.fit, *setup.held_out)
     outputs = (*simulated_outputs(best.fitted, setup.fit), *simulated_outputs(best.held_out, setup.held_out))
     left = [record.outputs - simulated for record, simulated in zip(records, outputs, strict=True)]
-    lower = _followed(lowered_floor(setup.floor, records, left), records)
+    lower = lowered_floor(setup.floor, records, left)
+    powers = np.array([np.nanmean(errors**2, axis=0) for errors in left])
+    below = powers < lower.variance / NEAR_FLOOR
+    lower = _followed(replace(lower, variance=np.where(below, powers, lower.variance)), records)
     ratio = setup.floor.variance / lower.variance
     if float(ratio.max()) <= 1.0:
         return setup, nodes, as_given
@@ -375,6 +387,7 @@ def with_uncovered_floor(setup: Setup, nodes: tuple[Node, ...], as_given: Node) 
     n_fit = len(setup.fit)
     scaled = tuple(on_other_floor(node, ratio[:n_fit], ratio[n_fit:]) for node in nodes)
     given = on_other_floor(as_given, ratio[:n_fit], ratio[n_fit:])
+    found = replace(found, untested=(UNTESTED,) if below.all() else ())  # else the others test it
     return found, search_effects(scaled[0], found.task, scaled), given
 
 
@@ -399,7 +412,11 @@ def with_coloured_floor(setup: Setup, nodes: tuple[Node, ...], as_given: Node) -
         setup.given, setup.fit, setup.held_out, task.every_effect, task.report, floor=higher, budget=task.budget
     )
     scaled = tuple(on_other_floor(node, ratio[:n_fit], ratio[n_fit:]) for node in nodes)
-    return replace(found, said=said), scaled, on_other_floor(as_given, ratio[:n_fit], ratio[n_fit:])
+    return (
+        replace(found, said=said, untested=setup.untested),
+        scaled,
+        on_other_floor(as_given, ratio[:n_fit], ratio[n_fit:]),
+    )
 
 
 def _noise_or_force(best: Node, setup: Setup, raised: float) -> tuple[str, ...]:

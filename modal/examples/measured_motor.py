@@ -14,7 +14,7 @@ makes it. An encoder that counts between two samples shows the mean speed over t
 mean of what follows a held voltage is what follows the mean voltage, and that runs by lines from sample to sample:
 `--counts` takes it so.
 
-Run `python -m modal.examples.measured_motor FILE [FILE ...] --input NAME --output NAME [--counts] [-o DIR]`.
+Run `python -m modal.examples.measured_motor FILE [FILE ...] --inputs NAME --outputs NAME [--counts] [-o DIR]`.
 """
 
 import argparse
@@ -199,14 +199,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     parser = argparse.ArgumentParser(description="A measured motor: its friction, its delay, its time constant.")
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="records of one motor")
-    parser.add_argument("--input", required=True, metavar="NAME", help="column of the voltage, duty or throttle")
-    parser.add_argument("--output", required=True, metavar="NAME", help="column of the speed")
+    parser.add_argument("--inputs", required=True, metavar="NAME", help="column of the voltage, duty or throttle")
+    parser.add_argument("--outputs", required=True, metavar="NAME", help="column of the speed")
     parser.add_argument("--counts", action="store_true", help="the speed is counted between two samples")
     parser.add_argument("-o", "--folder", type=Path, metavar="DIR", help="write the report and the recording into DIR")
     given = parser.parse_args(arguments)
     try:
         records = [
-            motor_record(path, drive=given.input, speed=given.output, counts=given.counts) for path in given.files
+            motor_record(path, drive=given.inputs, speed=given.outputs, counts=given.counts) for path in given.files
         ]
         motor, diagnosis = study(records)
     except (IdentificationError, OSError) as error:

@@ -29,8 +29,15 @@ UNTRUE = {
         "periodic disturbance",
         "too few frequencies",
         "samples late",
+        "does not die away as a mode does",
     ),
-    "decay": ("not linear", "periodic disturbance", "colour of what drives", "No input was given"),
+    "decay": (
+        "not linear",
+        "does not die away as a mode does",
+        "periodic disturbance",
+        "colour of what drives",
+        "No input was given",
+    ),
     "driven": ("never moves", "periodic disturbance"),
     "ambient": ("periodic disturbance",),
 }

@@ -108,7 +108,10 @@ def search_and_decide(setup: Setup, as_given: Node, root: Node) -> tuple[Setup, 
     nodes = search_effects(root, setup.task, curves=curves)
     setup, nodes, as_given = with_coloured_floor(*with_uncovered_floor(setup, nodes, as_given))
     setup.task.report("deciding", 0.9)
-    return setup, nodes, as_given, decide_nodes(nodes, setup.task, setup.fit, curves)
+    found = decide_nodes(nodes, setup.task, setup.fit, curves)
+    if setup.untested:
+        found = replace(found, status="unresolved", reasons=(*found.reasons, *setup.untested), notes=())
+    return setup, nodes, as_given, found
 
 
 def decide_nodes(
