@@ -180,12 +180,9 @@ class LackOfFit(Displayed):
     follows: Follows = ""
 
 
-def beyond_noise(tests: Sequence[LackOfFit], *, share: float = np.inf) -> Iterator[LackOfFit]:
-    """The tests that noise alone hardly fails, where what is left is larger than errors of a simulation.
-
-    Or larger than this share of a named effect: of a faint one the errors of a simulation are no such part.
-    """
-    return (one for one in tests if one.p_value < UNLIKELY and (one.size > FOLLOWED or one.share > share))
+def beyond_noise(tests: Sequence[LackOfFit]) -> Iterator[LackOfFit]:
+    """The tests that noise alone hardly fails, where what is left is larger than errors of a simulation."""
+    return (one for one in tests if one.p_value < UNLIKELY and one.size > FOLLOWED)
 
 
 def worst_left(tests: Sequence[LackOfFit]) -> LackOfFit | None:

@@ -287,7 +287,6 @@ class Setup:
         floor: Noise floor of both, in this order.
         task: The search's task.
         said: What the reader must know of the floor.
-        untested: Why the floor says nothing of the best model.
     """
 
     given: Given
@@ -296,7 +295,6 @@ class Setup:
     floor: NoiseFloor
     task: Task
     said: tuple[str, ...] = ()
-    untested: tuple[str, ...] = ()
 
 
 def prepare_setup(
@@ -348,9 +346,9 @@ def prepare_setup(
     return Setup(given=given, fit=fit, held_out=held_out, floor=known, task=task)
 
 
-UNTESTED = (
-    "the records do not show their noise apart from the motion, so it was taken for what the best model leaves, and "
-    "nothing tests that model: give records of many cycles, or of some rest"
+BY_MODEL = (
+    "the records do not show their noise apart from the motion, so it was taken for what the best model leaves: only "
+    "whether that depends on anything was tested; records of many cycles, or of some rest, would show it"
 )
 
 
@@ -387,7 +385,7 @@ def with_uncovered_floor(setup: Setup, nodes: tuple[Node, ...], as_given: Node) 
     n_fit = len(setup.fit)
     scaled = tuple(on_other_floor(node, ratio[:n_fit], ratio[n_fit:]) for node in nodes)
     given = on_other_floor(as_given, ratio[:n_fit], ratio[n_fit:])
-    found = replace(found, untested=(UNTESTED,) if below.all() else ())  # else the others test it
+    found = replace(found, said=(*setup.said, BY_MODEL) if below.all() else setup.said)  # else the others show it
     return found, search_effects(scaled[0], found.task, scaled), given
 
 
@@ -413,7 +411,7 @@ def with_coloured_floor(setup: Setup, nodes: tuple[Node, ...], as_given: Node) -
     )
     scaled = tuple(on_other_floor(node, ratio[:n_fit], ratio[n_fit:]) for node in nodes)
     return (
-        replace(found, said=said, untested=setup.untested),
+        replace(found, said=(*setup.said, *said)),
         scaled,
         on_other_floor(as_given, ratio[:n_fit], ratio[n_fit:]),
     )

@@ -41,7 +41,7 @@ from modal.discrepancy.selection.smaller_models import (
     sureness,
     without,
 )
-from modal.discrepancy.setup import Setup, circumstances_of, with_coloured_floor, with_uncovered_floor
+from modal.discrepancy.setup import BY_MODEL, Setup, circumstances_of, with_coloured_floor, with_uncovered_floor
 from modal.effects.ambiguity import ambiguous_with
 from modal.effects.catalogue import effect_name, effects_at
 from modal.effects.effect import is_form_free
@@ -109,8 +109,8 @@ def search_and_decide(setup: Setup, as_given: Node, root: Node) -> tuple[Setup, 
     setup, nodes, as_given = with_coloured_floor(*with_uncovered_floor(setup, nodes, as_given))
     setup.task.report("deciding", 0.9)
     found = decide_nodes(nodes, setup.task, setup.fit, curves)
-    if setup.untested:
-        found = replace(found, status="unresolved", reasons=(*found.reasons, *setup.untested), notes=())
+    if BY_MODEL in setup.said and not found.lack_of_fit:  # then nothing tests the model
+        found = replace(found, status="unresolved", reasons=(*found.reasons, BY_MODEL), notes=())
     return setup, nodes, as_given, found
 
 
@@ -363,10 +363,11 @@ def _unproved(best: Node, root: Node) -> list[str]:
             f"on the records to fit the gap is still {times_floor_text(best.fit_level)} times the noise floor (limit "
             f"{times_floor_text(MOST_ON_FIT)})"
         )
-    found = len(best.effects) - len(root.effects)
-    if found > MOST_FIRM:
+    found, masses = len(best.effects) - len(root.effects), best.masses != root.masses
+    if found + masses > MOST_FIRM:
+        also = f" and {masses_text(best.masses)}" if masses else ""
         reasons.append(
-            f"{found} effects at once fit many a law that is none of them: {MOST_FIRM} at most are named firmly"
+            f"{found} effects{also} at once fit many a law that is none of them: {MOST_FIRM} at most are named firmly"
         )
     return reasons
 

@@ -574,7 +574,7 @@ def only_noise(node: Node, root: Node, task: Task) -> bool:
 def what_is_left(tests: Sequence[LackOfFit], best: Node, root: Node) -> tuple[list[str], list[str]]:
     """Why a model is not firm for what it leaves, and what must be said beside a firm name."""
     found = best.coarse.assembly.placements[len(root.effects) :]
-    left = [one for one in beyond_noise(tests, share=MUCH) if one.share > SLIGHT]
+    left = [one for one in beyond_noise(tests) if one.share > SLIGHT]
     for one in left:
         if one.share > MUCH or any(_same_motion(one, item) for item in found):
             more = "" if one.follows else f"{_how_much(one, found)}: the law is another one, or has company"
