@@ -422,6 +422,7 @@ def _identified(
         choices=(
             kind.choice,
             *((RELEASED,) if kind.kind == "decay" else ()),
+            *(() if bent is None else (bent.choice,)),
             *preparation.choices,
             *explain_scoring(prepared, _folds(kind)),
             *(() if white is None else explain_filter(white.filter, white.share)),

@@ -274,7 +274,12 @@ def warnings_in_words(
             "of one-step prediction."
         )
     if not modes.system and fit.mean >= EXPLAINS:
-        words.append("No mode was found again often enough to be called a mode of the system.")
+        doubted = any(mode.doubts for mode in modes.modes)
+        words.append(
+            "No mode is certain: of each that was found again the reason says what stands against it."
+            if doubted
+            else "No mode was found again often enough to be called a mode of the system."
+        )
     if _wants_a_longer_observer(found):
         words.append(
             f"The largest observer order that the data allow ({found.chosen.observer_order}) was the best: a longer "

@@ -13,6 +13,7 @@ from modal.identification.result import Identification
 from modal.modes.mode import Mode
 from modal.verdict.judgement import DOUBTED, FOUND_AGAIN, LEAST_PART, SYSTEM_FROM
 from modal.verdict.probability import SPREAD
+from modal.verdict.ring_down import RINGS
 from modal.wording.text import GOOD_FIT, LEAST_FIT, MOST_NAMED, counted, hertz, listed, shorten
 from okid.errors import visible
 
@@ -57,6 +58,8 @@ def next_sentences(result: Identification, quality: "DataQuality | None" = None)
         what = f"{bad[0].what}, {visible(bad[0].where)}"
         return (f"Mend or replace the data ({what}) and identify again; until then all modes are provisional.",)
     if not result.modes.system:
+        if any(one.what == RINGS for one in result.choices):
+            return ("Quote no damping: each level has its own; `modal-report gap` finds what a linear model lacks.",)
         return ("Quote nothing; measure longer, drive harder or in a broader band, then identify again.",)
     said = []
     if result.warnings:

@@ -28,10 +28,13 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from modal.modes.mode import Choice
 from modal.wording.text import hertz, percent
 from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
 
+RINGS = "ring-down"
+"""Name of the choice."""
 FEWEST = 40
 """Ask nothing of fewer rows."""
 MOST_ROWS = 4000
@@ -99,6 +102,16 @@ class RingDown:
             f"{later} at {percent(LATER)} of that level, where it rings at {last} Hz. Such an oscillator explains the "
             f"decay {self.gain:.2g} times as closely as two modes do, so no mode is certain; `modal-report gap` tells "
             "friction, drag and springs apart."
+        )
+
+    @property
+    def choice(self) -> Choice:
+        """That modes were asked whether they describe it, and do not."""
+        return Choice(
+            what=RINGS,
+            value="not as modes do",
+            reason="an oscillator whose damping and frequency depend on its level explains it "
+            f"{self.gain:.2g} times as closely as two modes",
         )
 
     @property

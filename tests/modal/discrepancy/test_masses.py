@@ -12,6 +12,7 @@ import modal
 import okid
 from modal.discrepancy import CATALOGUE, diagnose
 from modal.discrepancy.results import Calibrated
+from modal.discrepancy.selection.decision import _unproved
 from modal.discrepancy.selection.form_free import curves_beside
 from modal.discrepancy.setup import prepare_setup, roots
 from modal.discrepancy.validation.summary import _mass_words
@@ -49,6 +50,31 @@ def test_a_wrong_mass_is_that_mass_and_no_effect(seed):
     assert all(one.value == one.nominal for one in masses.values())
     assert any(f"mass of {case.where}" in words for words in found.warnings)
     np.testing.assert_allclose(np.diag(found.model.mass)[dof], wrong.value, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("n_effects", "masses", "said"), [(1, ("dof_1",), 0), (2, (), 0), (2, ("dof_1",), 1), (3, (), 1)]
+)
+def test_other_masses_count_as_an_effect_among_what_is_named_at_once(n_effects, masses, said):
+    root = SimpleNamespace(effects=(), masses=())
+    best = SimpleNamespace(effects=("one",) * n_effects, masses=masses, held_out_level=1.0, fit_level=1.0)
+    reasons = _unproved(best, root)
+    assert len(reasons) == said
+    assert all(("mass of dof_1" in words) == bool(masses) for words in reasons)
+
+
+@pytest.mark.slow
+def test_cross_talk_is_no_gain_beside_a_hidden_mode_and_another_mass():
+    case = outside_case("cross_talk", 67204)
+    model = modal.StructuralModel.chain(
+        case.masses, case.stiffnesses, case.dampings, force_dofs=[0], sensor_dofs=range(2), sensor_kind="displacement"
+    )
+    fit, held_out = (
+        [okid.Record(one.inputs, one.outputs, one.dt) for one in part] for part in (case.fit, case.held_out)
+    )
+    found = diagnose(model, fit, held_out)
+    assert found.status == "unresolved"
+    assert any("at once fit many a law" in words for words in found.warnings)
 
 
 def test_other_masses_are_no_law_of_unknown_form():

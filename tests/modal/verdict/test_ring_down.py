@@ -11,7 +11,8 @@ from scipy.integrate import solve_ivp
 
 import modal
 import okid
-from modal.verdict.ring_down import LATER, RingDown, motion, ring_down_of
+from modal.sections.words import next_sentences
+from modal.verdict.ring_down import LATER, RINGS, RingDown, motion, ring_down_of
 
 DT = 0.02
 
@@ -128,6 +129,9 @@ def test_no_mode_is_certain_in_a_decay_under_friction():
     assert found.record_kind == "decay"
     assert not found.modes.system
     assert any("does not die away as a mode does" in words for words in found.warnings)
+    assert not any("found again often enough" in words for words in found.warnings)
+    assert [one.value for one in found.choices if one.what == RINGS] == ["not as modes do"]
+    assert next_sentences(found)[0].startswith("Quote no damping")
     assert any("another damping or frequency at each level" in mode.reason for mode in found.modes.modes)
     assert all(mode.probability < 0.8 for mode in found.modes.modes)
 
