@@ -127,7 +127,7 @@ def structural_model(motor: FirstOrder, record: Record) -> StructuralModel:
         >>> record = Record([0.0, 1.0], [0.0, 0.5], 0.02, input_names=["u"], output_names=["speed"], input_units=["V"])
         >>> print(structural_model(FirstOrder(rate=20.0, gain=3.0), record).equations())
         Equations of motion; x0 [rad], forces [N m], ' is d/dt [1/s]
-          DOF 0: 1 x0'' + 20 x0' = 60 u
+          DOF 0: x0'' + 20 x0' = 60 u
           speed [rad/s] = x0'
     """
     return StructuralModel(

@@ -36,6 +36,7 @@ from modal.estimation.response_noise import (
     with_powers,
 )
 from modal.estimation.response_order import (
+    PASSES,
     QUICK,
     chosen_order,
     evidence_of,
@@ -154,14 +155,15 @@ def identify_response(
     with one_blas_thread():
         tell("fitting the responses", 0.0)
         windows = (response.window,) if response.window != "unknown" else TRIED if on_grid(response) else ("periodic",)
-        found = _search(response, windows[0], order, BETWEEN)
-        if _likelihood_between(found) > found.likelihood:
-            found = max(found, _search(response, windows[0], order, 1), key=lambda one: one.weighed)
-        # each with its own poles, and under a force with dips if there is one: a dip passes for another window
-        others = (_search(response, window, order, found.finer) for window in windows[1:])
-        each = [_under_dips(one) for one in (found, *others)]
-        tried = {one.table.window: one.weighed for one in each}
-        found = max(each, key=lambda one: one.weighed)
+        ways = [_search(response, windows[0], order, BETWEEN)]
+        if _likelihood_between(ways[0]) > ways[0].likelihood:
+            ways.append(_search(response, windows[0], order, 1))
+        # under a force with dips if there is one: a dip passes for another window, and for motion between the samples
+        first = max(((_under_dips(one), one) for one in ways), key=lambda pair: pair[0].weighed)
+        others = (_search(response, window, order, first[1].finer) for window in windows[1:])  # each with its own poles
+        each = [first, *((_under_dips(one), one) for one in others)]
+        tried = {dipped.table.window: dipped.weighed for dipped, _ in each}
+        found = _once_more(*max(each, key=lambda pair: pair[0].weighed))
         tell("identifying again with halves of the averages, other lags and orders", 0.6)
         result = _judged(found, order, tried)
         result = replace(result, response=given, warnings=(*dead, *backwards, *result.warnings))
@@ -221,6 +223,17 @@ def _search(
         likelihood=likelihood,
         finer=finer,
     )
+
+
+def _once_more(best: _Found, white: _Found) -> _Found:
+    """The model under dips, looked for again from the one without them, under the noise that the dips leave."""
+    for _ in range(PASSES if best is not white else 0):
+        fit = refined(white.table, white.fit, weight_of(white.table, best.noise))
+        again = _under_dips(replace(white, fit=fit, noise=best.noise))
+        if not again.weighed > best.weighed:
+            break
+        best = again
+    return best
 
 
 def _under_dips(found: _Found) -> _Found:

@@ -21,6 +21,7 @@ References:
     1978, 461-464, https://doi.org/10.1214/aos/1176344136.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -40,7 +41,9 @@ FEWEST = 40
 MOST_ROWS = 4000
 """Take every so manieth row of longer records: a few dozen cycles and where they stop show as well in fewer,"""
 A_CYCLE = 8
-"""but no fewer rows a cycle."""
+"""but no fewer rows a cycle,"""
+MOST_CYCLES = 100
+"""and no more cycles, the first ones."""
 EVIDENCE = 10.0
 """Believe in the oscillator where the criterion falls by so much: odds of 150 to 1."""
 CLOSELY = 2.0
@@ -185,6 +188,7 @@ def _free_rows(record: Record) -> NDArray[np.intp]:
     if len(rows) < FEWEST:
         return rows
     turns = _turns(record.outputs[rows] - record.outputs[rows].mean(axis=0))
+    rows = rows[: max(FEWEST, int(MOST_CYCLES * 2 * np.pi / turns))]
     return rows[:: max(1, min(len(rows) // MOST_ROWS, int(2 * np.pi / (A_CYCLE * turns))))]
 
 
@@ -195,27 +199,35 @@ def motion(parameters: FloatArray, times: FloatArray) -> tuple[FloatArray, Float
         parameters: angular frequency, damping ratio, phase of the start, f, p, k1, k2.
         times: (n,) rising, in the unit of the frequency's inverse.
     """
-    base, ratio, phase, friction, drag, bend, more = (float(value) for value in parameters)
-    size, t = 1.0, float(times[0])
-    x, v = np.cos(phase), -base * (1.0 + bend + more) * np.sin(phase)
-    arcs = []
-    while t <= times[-1]:
-        if not v:
-            size = abs(x)
-            if size <= friction:  # the spring no longer moves it
-                arcs.append((t, x, 0.0, 0.0, base, 0.0, base))
-                break
+    base, ratio, phase, friction, drag, bend, more = parameters.tolist()
+
+    def half_cycle(size: float) -> tuple[float, float, float]:
         angular = base * (1.0 + bend * size + more * size**2)
         damping = min(ratio + drag * size, MOST_DAMPED)
-        decay, turning = damping * angular, angular * np.sqrt(1.0 - damping**2)
-        way = np.sign(v) if v else -np.sign(x)
-        centre = -way * friction
+        return angular, damping * angular, angular * math.sqrt(1.0 - damping**2)
+
+    t, x, v = float(times[0]), math.cos(phase), -base * (1.0 + bend + more) * math.sin(phase)
+    arcs = []
+    if v:  # until the speed is zero
+        angular, decay, turning = half_cycle(1.0)
+        centre = math.copysign(friction, -v)
         off = x - centre
         arcs.append((t, centre, off, v, angular, decay, turning))
         against = (decay * v + angular**2 * off) / turning
-        turned = np.arctan2(way * v, way * against) if v else np.pi  # until the speed is zero
-        pulled = off * np.cos(turned) + (v + decay * off) / turning * np.sin(turned)
-        x, v, t = centre + np.exp(-decay * turned / turning) * pulled, 0.0, t + turned / turning
+        turned = math.atan2(abs(v), math.copysign(against, against * v))
+        pulled = off * math.cos(turned) + (v + decay * off) / turning * math.sin(turned)
+        x, t = centre + math.exp(-decay * turned / turning) * pulled, t + turned / turning
+    last = float(times[-1])
+    while t <= last:
+        size = abs(x)
+        if size <= friction:  # the spring no longer moves it
+            arcs.append((t, x, 0.0, 0.0, base, 0.0, base))
+            break
+        angular, decay, turning = half_cycle(size)
+        centre = math.copysign(friction, x)
+        arcs.append((t, centre, x - centre, 0.0, angular, decay, turning))
+        half = math.pi / turning
+        x, t = centre - (x - centre) * math.exp(-decay * half), t + half
     table = np.array(arcs)
     begun, around, place, speed, angulars, decays, turns = table[
         np.searchsorted(table[:, 0], times, side="right") - 1

@@ -24,6 +24,7 @@ PAGES = {  # name: (folder in WORK, page, first and last row of pixels)
     "discrepancy_report": ("motor_propeller", "report.html", 0, 790),
     "gallery_hammer": ("hammer", "report.html", 0, 552),
     "gallery_motor": ("motor_propeller", "report.html", 805, 1655),
+    "gallery_bench": ("measured_motor", "report.html", 0, 1100),
     "gallery_mass": ("struck_mass", "1-full-order.svg", 0, 396),
     "gallery_records": ("many_records", "comparison.html", 0, 1080),
     "gallery_set_ups": ("six_set_ups", "report.html", 0, 552),
@@ -52,6 +53,11 @@ def run(name, folder):
 
             write_files(folder)
             status(["run", str(folder / "hammer.csv"), "--inputs", "force", "-o", str(folder)])
+        elif name == "measured_motor":  # of measured records, which are not in the repository
+            bench = Path(__file__).parents[3] / "shared" / "data" / "dc_motor_bench"
+            files = [str(bench / f"prbs_{number}.csv") for number in (1, 2)]
+            columns = ["--inputs", "u", "--outputs", "speed", "--counts"]
+            importlib.import_module("modal.examples.measured_motor").main([*files, *columns, "-o", str(folder)])
         else:
             importlib.import_module(f"modal.examples.{name}").main(["-o", str(folder)])
     print(f"{name}\n{told.getvalue()}")
