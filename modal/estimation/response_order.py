@@ -14,8 +14,8 @@ WITHOUT_GAIN = 4
 WEAKEST = 3
 """Try to leave out one of so many of the weakest poles before a loss is taken."""
 PASSES = 3
-"""Choose the order again with the noise that its own model leaves, at most so often; it repeats itself after two. Likewise
-the model under a force with dips."""
+"""Choose the order, or a force's dips, again with the noise that the model leaves, at most so often; it repeats itself
+after two."""
 QUICK = 5
 """Refine candidates and reruns by so many steps: from their realisation they stand still by then."""
 

@@ -158,7 +158,7 @@ def identify_response(
         ways = [_search(response, windows[0], order, BETWEEN)]
         if _likelihood_between(ways[0]) > ways[0].likelihood:
             ways.append(_search(response, windows[0], order, 1))
-        # under a force with dips if there is one: a dip passes for another window, and for motion between the samples
+        # with dips of the force if there are any: they pass for another window, and for motion between samples
         first = max(((_under_dips(one), one) for one in ways), key=lambda pair: pair[0].weighed)
         others = (_search(response, window, order, first[1].finer) for window in windows[1:])  # each with its own poles
         each = [first, *((_under_dips(one), one) for one in others)]
@@ -240,7 +240,12 @@ def _under_dips(found: _Found) -> _Found:
     """The same, or the model that goes with a force that dips where such a one makes the table likelier."""
     table, weight = found.table, weight_of(found.table, found.noise)
     models = [found.fit, *(refined(table, start, weight, n_steps=QUICK) for start in found.fewer)]
-    best = _dips(table, models)
+    best = with_dips(
+        table,
+        models,
+        lambda fit: weight_of(table, noise_of(table, fit)),
+        lambda error, n_parameters: schwarz(table, error, n_parameters),
+    )
     if best is None:
         return found
     number, fit, moved = best
@@ -253,15 +258,6 @@ def _under_dips(found: _Found) -> _Found:
         moved=moved,
         order=fit.order,
         likelihood=likelihood_of(table, fit, noise),
-    )
-
-
-def _dips(table: ResponseLines, models: Sequence[ResponseFit]) -> tuple[int, ResponseFit, FloatArray] | None:
-    return with_dips(
-        table,
-        models,
-        lambda fit: weight_of(table, noise_of(table, fit)),
-        lambda error, n_parameters: schwarz(table, error, n_parameters),
     )
 
 
