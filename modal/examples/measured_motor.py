@@ -30,6 +30,7 @@ from modal.effects.catalogue import CATALOGUE
 from modal.examples.story import print_written, shrinking
 from modal.identification.pipeline import identify
 from modal.report.writing import write_report
+from modal.structure.given import simulate
 from modal.structure.structural_model import StructuralModel
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError, InsufficientDataError
@@ -114,8 +115,6 @@ def first_order(records: Sequence[Record]) -> FirstOrder:
 
 
 def _followed(model: StructuralModel, record: Record) -> FloatArray:
-    from modal.structure.given import simulate
-
     start = float(record.inputs[0, 0])  # steady there: a first-order model forgets it anyhow
     return simulate(model, record, initial_state=[start]).outputs[:, 0]
 

@@ -230,7 +230,7 @@ def _once_more(best: _Found, white: _Found) -> _Found:
     for _ in range(PASSES if best is not white else 0):
         fit = refined(white.table, white.fit, weight_of(white.table, best.noise))
         again = _under_dips(replace(white, fit=fit, noise=best.noise))
-        if not again.weighed > best.weighed:
+        if again.order != best.order or not again.weighed > best.weighed:  # the order is chosen, here its optimum
             break
         best = again
     return best

@@ -53,7 +53,7 @@ def test_a_wrong_mass_is_that_mass_and_no_effect(seed):
 
 
 @pytest.mark.parametrize(
-    ("n_effects", "masses", "said"), [(1, ("dof_1",), 0), (2, (), 0), (2, ("dof_1",), 1), (3, (), 1)]
+    ("n_effects", "masses", "said"), [(1, ("mass of dof_1",), 0), (2, (), 0), (2, ("mass of dof_1",), 1), (3, (), 1)]
 )
 def test_other_masses_count_as_an_effect_among_what_is_named_at_once(n_effects, masses, said):
     root = SimpleNamespace(effects=(), masses=())
