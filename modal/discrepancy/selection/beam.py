@@ -188,7 +188,7 @@ def expand(node: Node, task: Task) -> list[Node]:
         fits = [fit for fit in fits if fit.level <= task.reached]
         runs, known = _free_runs(_ordered(_leading(_worth(fits, observed), RUNS)), task, node)
         found += _judged(_leading(runs, FINALISTS), task, known, reach=REACH_SHARP if node.effects else REACH)
-        if _clear(found, node):
+        if _clear(found, node) and (node.effects or _reached(found) <= FAR_ABOVE):
             break
     return found
 

@@ -447,7 +447,7 @@ def _best(nodes: Sequence[Node], root: Node, task: Task) -> Node:
     fewest = min(_size(node) for node in (within or good))
     equals = [node for node in (within or good) if _size(node) == fewest]
     if lowest > FAR_ABOVE:
-        return min(equals, key=lambda node: node.held_out_level)
+        return min(equals, key=lambda node: (_cost_of_freedom(node, task), node.held_out_level))
     return min(equals, key=lambda node: criterion(node, root, task))
 
 
