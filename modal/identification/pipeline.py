@@ -60,7 +60,7 @@ from modal.verdict.excitation import between_lines, beyond_inputs, by_chance, dr
 from modal.verdict.judgement import doubted, judge
 from modal.verdict.probability import FILTER_EDGE
 from modal.verdict.repeatability import repeat
-from modal.verdict.ring_down import ring_down_of
+from modal.verdict.ring_down import doubt_of_the_rest, ring_down_of
 from okid.arrays import FloatArray, listener, one_blas_thread, whole_number
 from okid.errors import IdentificationError, InvalidDataError
 from okid.excitation import check_excitation
@@ -393,6 +393,9 @@ def _identified(
     bent = ring_down_of(prepared, left) if kind.kind in ("transient", "decay") else None
     if bent is not None:
         modes = replace(modes, modes=tuple(doubted(mode, bent.doubt) for mode in modes.modes))
+    rest = doubt_of_the_rest(modes, prepared, output_scale=reruns.output_scale) if kind.kind == "decay" else ""
+    if rest:
+        modes = replace(modes, modes=tuple(doubted(mode, rest) for mode in modes.modes))
     of_inputs = driven_by_inputs(modes, preparation.n_integrators)
     tell("checking residuals", 0.9)
     fitted_to = runs.records
@@ -437,6 +440,7 @@ def _identified(
             *kind.warnings,
             *preparation.warnings,
             *(() if bent is None else (bent.sentence,)),
+            *((f"{rest[0].upper()}{rest[1:]}, so it is no sum of modes.",) if rest else ()),
             *unsteady,
             *(
                 changing_modes(modes, asked, left_there, output_scale=reruns.output_scale)

@@ -15,6 +15,9 @@ by a linear model of some twenty states, which are no modes and yet are found ag
 oscillator competes by Schwarz's criterion with linear models of as few numbers and as many: with the one mode that it
 is without f, k1, k2 and p, and with two modes, free in every output. Two modes make any beat, and no line.
 
+Where no such oscillator is near either, as for a pendulum that swings far, the poles side by side are still not found
+again one by one. Whoever is found among them is no mode for that: modes that are certain are most of what rings down.
+
 References:
     Den Hartog, Mechanical Vibrations, 4th ed., 1956, section 8.6; Feldman, Hilbert transform in vibration analysis,
     Mech. Syst. Signal Process. 25, 2011, https://doi.org/10.1016/j.ymssp.2010.07.018; Schwarz, Annals of Statistics 6,
@@ -29,7 +32,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from modal.modes.mode import Choice
+from modal.modes.mode import Choice, ModalModel
 from modal.wording.text import hertz, percent
 from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
@@ -65,6 +68,8 @@ MOST_BENT = 0.3
 """Let frequency and damping change by no more than this with the level."""
 LATER = 0.1
 """Say what damping and frequency are at this share of the level at the start."""
+CARRIED = 0.5
+"""Ask that modes of the system carry this share of what rings, before one of them is certain."""
 MODE = np.array([True, True, True, False, False, False, False])
 """Parameters of one linear mode: angular frequency, damping ratio, phase; and not friction, p, k1, k2."""
 
@@ -176,6 +181,38 @@ def ring_down_of(records: Sequence[Record], left: Sequence[FloatArray]) -> RingD
         drag=float(drag),
         gain=float(np.exp((misfits[2] - misfits[0]) / (2 * n_values))),
     )
+
+
+def doubt_of_the_rest(modes: ModalModel, records: Sequence[Record], *, output_scale: FloatArray) -> str:
+    """Why no mode of decays is certain where other poles carry most of them; empty where there is no reason.
+
+    Args:
+        modes: of decays, each release a pulse at an input.
+        records: the decays.
+        output_scale: (n_outputs,) what the outputs are divided by.
+    """
+    n_steps = min(MOST_ROWS, max(record.n_samples for record in records))
+    share = carried(modes, n_steps=n_steps, output_scale=output_scale)
+    if share >= CARRIED or not any(mode.verdict == "system" for mode in modes.modes):
+        return ""
+    return f"poles that were not found again carry {percent(min(1.0 - share, 1.0))} of what rings down"
+
+
+def carried(modes: ModalModel, *, n_steps: int, output_scale: FloatArray) -> float:
+    """Share of the energy of all that oscillates that the modes of the system carry together, pulse by pulse.
+
+    Poles that follow a curve which is no sum of modes cancel one another: alone each tells nothing, so what is told is
+    what all the others leave of the sum, below zero where they are more than it. 1 where nothing oscillates.
+    """
+    turning = [mode for mode in modes.modes if mode.kind == "oscillatory"]
+    if not turning:
+        return 1.0
+    others = np.array([mode.verdict != "system" for mode in turning])
+    poles = np.array([complex(min(mode.pole.real, 0.0), mode.pole.imag) for mode in turning])
+    sizes = np.array([np.outer(mode.shape / output_scale, mode.participation).ravel() for mode in turning])
+    rings = np.exp(poles * modes.dt * np.arange(n_steps)[:, np.newaxis])
+    whole, rest = (rings @ sizes).real, (rings[:, others] @ sizes[others]).real
+    return 1.0 - float(np.square(rest).sum() / max(np.square(whole).sum(), np.finfo(float).tiny))
 
 
 def _free_rows(record: Record) -> NDArray[np.intp]:

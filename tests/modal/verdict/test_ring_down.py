@@ -11,8 +11,9 @@ from scipy.integrate import solve_ivp
 
 import modal
 import okid
+from modal.modes.mode import ModalModel, Mode
 from modal.sections.words import next_sentences
-from modal.verdict.ring_down import LATER, RINGS, RingDown, motion, ring_down_of
+from modal.verdict.ring_down import LATER, RINGS, RingDown, carried, doubt_of_the_rest, motion, ring_down_of
 
 DT = 0.02
 
@@ -144,3 +145,73 @@ def test_the_sentence_says_what_takes_most():
     assert LATER == 0.1
     assert "as under drag" in replace(plain, friction=0.0, drag=0.015).sentence
     assert "not linear" in replace(plain, frequency=(2.2, 2.0), friction=0.0, drag=0.001).sentence
+
+
+# --- what is certain is most of what rings ----------------------------------------------------------------------------
+
+
+def modes_of(*told):
+    """Modes (frequency [Hz], size, verdict) of 1 % damping in two outputs, released once."""
+    made = [
+        Mode(
+            pole=2 * np.pi * frequency * complex(-0.01, 1.0),
+            kind="oscillatory",
+            frequency=frequency,
+            damping_ratio=0.01,
+            shape=np.array([1.0, 0.5], dtype=complex),
+            participation=np.array([size], dtype=complex),
+            verdict=verdict,
+        )
+        for frequency, size, verdict in told
+    ]
+    return ModalModel(modes=tuple(made), dt=DT, indicator_caution=0.1)
+
+
+@pytest.mark.parametrize(
+    ("size", "verdict", "share"), [(3.0, "noise", 0.1), (0.5, "doubtful", 0.8), (3.0, "system", 1.0)]
+)
+def test_modes_carry_their_share_of_the_energy(size, verdict, share):
+    """Of two far apart, each as large as its size squared."""
+    told = modes_of((5.0, 1.0, "system"), (5.0 * np.sqrt(2.0), size * 2**0.25, verdict))
+    assert carried(told, n_steps=4000, output_scale=np.ones(2)) == pytest.approx(share, abs=0.01)
+
+
+def test_poles_that_cancel_carry_no_more_than_their_sum():
+    told = modes_of((5.0, 1.0, "system"), (9.0, 100.0, "noise"), (9.0, -100.0, "noise"))
+    assert carried(told, n_steps=400, output_scale=np.ones(2)) == pytest.approx(1.0)
+    one_more = modes_of((9.0, 100.0, "system"), (9.0, -100.0, "noise"), (5.0, 1.0, "noise"))
+    assert carried(one_more, n_steps=400, output_scale=np.ones(2)) < 0.0
+
+
+def test_outputs_count_by_their_scale():
+    """The second output is in another unit: what only it sees is large there alone."""
+    told = modes_of((5.0, 1.0, "system"), (9.0, 1.0, "noise"))
+    own = replace(told.modes[1], shape=np.array([0.0, 100.0], dtype=complex))
+    told = replace(told, modes=(told.modes[0], own))
+    assert carried(told, n_steps=400, output_scale=np.array([1.0, 1.0])) < 0.1
+    assert carried(told, n_steps=400, output_scale=np.array([1.0, 1e3])) > 0.9
+
+
+def test_a_mode_among_poles_that_were_not_found_again_is_doubted():
+    records = [okid.Record([], np.ones((400, 2)), DT)]
+    weak = modes_of((5.0, 0.1, "system"), (9.0, 1.0, "doubtful"))
+    said = doubt_of_the_rest(weak, records, output_scale=np.full(2, 0.01))
+    assert "carry 98 % of what rings down" in said  # energies are as size squared over frequency
+    strong = modes_of((5.0, 1.0, "system"), (9.0, 0.1, "doubtful"))
+    for fine in (strong, modes_of((5.0, 1.0, "noise")), modes_of()):
+        assert not doubt_of_the_rest(fine, records, output_scale=np.ones(2))
+
+
+def test_no_mode_is_certain_of_a_pendulum_that_swings_far():
+    """From 2.6 rad its frequency rises all the while: before, three poles of the system beside one another."""
+    times = 0.02 * np.arange(1200)
+
+    def slope(_, state):
+        return [state[1], -((2 * np.pi * 1.3) ** 2) * np.sin(state[0]) - 0.15 * state[1]]
+
+    run = solve_ivp(slope, (0.0, times[-1]), [2.6, 0.0], t_eval=times, rtol=1e-9, atol=1e-11)
+    noise = 1e-3 * np.random.default_rng(2).standard_normal(len(times))
+    found = modal.identify(okid.Record([], run.y[0] + noise, 0.02))
+    assert found.record_kind == "decay"
+    assert not [mode for mode in found.modes.modes if mode.verdict == "system"]
+    assert any("so it is no sum of modes" in text for text in found.warnings)
