@@ -385,7 +385,8 @@ def with_uncovered_floor(setup: Setup, nodes: tuple[Node, ...], as_given: Node) 
     n_fit = len(setup.fit)
     scaled = tuple(on_other_floor(node, ratio[:n_fit], ratio[n_fit:]) for node in nodes)
     given = on_other_floor(as_given, ratio[:n_fit], ratio[n_fit:])
-    found = replace(found, said=(*setup.said, BY_MODEL) if below.all() else setup.said)  # else the others show it
+    alone = (below | np.isnan(powers)).all(axis=0).any()  # an output whose other records do not show it
+    found = replace(found, said=(*setup.said, BY_MODEL) if alone else setup.said)
     return found, search_effects(scaled[0], found.task, scaled), given
 
 

@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from modal.discrepancy.diagnosis import diagnose
-from modal.discrepancy.results import Diagnosis
+from modal.discrepancy.results import Diagnosis, Finding
 from modal.effects.catalogue import CATALOGUE
 from modal.examples.story import print_written, shrinking
 from modal.identification.pipeline import identify
@@ -44,6 +44,8 @@ OF_A_MOTOR = (
 """What a motor may have besides. An encoder has no zero that moves."""
 SETTLED = 5.0
 """Read a steady speed after so many time constants, when less than a hundredth of the step is left."""
+STALLED = 0.01
+"""Take a speed below this share of the largest one for none."""
 MOST_ROWS = 500
 """Of a half of a record: more rows tell little more and take longer."""
 
@@ -108,9 +110,11 @@ def first_order(records: Sequence[Record]) -> FirstOrder:
     for record in records:
         unit = structural_model(FirstOrder(rate=rate, gain=1.0), record)
         followed = _followed(unit, record)
-        tops.append(record.outputs[:, 0] - record.outputs[:, 0].mean())
+        tops.append(record.outputs[:, 0] - np.nanmean(record.outputs[:, 0]))
         bottoms.append(followed - followed.mean())
     bottom, top = np.concatenate(bottoms), np.concatenate(tops)
+    there = np.isfinite(top)
+    bottom, top = bottom[there], top[there]
     return FirstOrder(rate=rate, gain=float(bottom @ top / (bottom @ bottom)))
 
 
@@ -145,18 +149,28 @@ def structural_model(motor: FirstOrder, record: Record) -> StructuralModel:
 
 
 def by_hand(records: Sequence[Record], motor: FirstOrder) -> ByHand | None:
-    """The line through the steady speeds; None where there are not two."""
+    """The line through the steady speeds, the same loss on both sides of zero; None where there are not two.
+
+    Example:
+        >>> volts, turns = np.repeat([-2.0, -1.0, 0.1, 1.0, 2.0], 20), np.repeat([-3.0, -1.0, 0.0, 1.0, 3.0], 20)
+        >>> line = by_hand([Record(volts, turns, 0.1)], FirstOrder(rate=5.0, gain=2.0))
+        >>> round(line.gain, 6), round(line.dead, 6), line.n_speeds
+        (2.0, 0.5, 4)
+    """
     levels: dict[float, list[float]] = {}
     for record in records:
         wait = int(np.ceil(SETTLED / (motor.rate * record.dt)))
         drive, speed = record.inputs[:, 0], record.outputs[:, 0]
         for row in range(wait, record.n_samples):
-            if np.ptp(drive[row - wait : row + 1]) == 0.0:
+            if np.ptp(drive[row - wait : row + 1]) == 0.0 and np.isfinite(speed[row]):
                 levels.setdefault(float(drive[row]), []).append(float(speed[row]))
-    if len(levels) < 2:
+    drives, speeds = np.array(list(levels)), np.array([np.mean(speeds) for speeds in levels.values()])
+    turns = np.abs(speeds) > STALLED * np.abs(speeds).max(initial=0.0)
+    drives, speeds = drives[turns], speeds[turns]
+    if len(speeds) < 2:
         return None
-    gain, above = np.polyfit(list(levels), [np.mean(speeds) for speeds in levels.values()], 1)
-    return ByHand(gain=float(gain), dead=float(-above / gain), n_speeds=len(levels))
+    gain, lost = np.linalg.lstsq(np.column_stack([drives, -np.sign(speeds)]), speeds, rcond=None)[0]
+    return ByHand(gain=float(gain), dead=float(lost / gain), n_speeds=len(speeds))
 
 
 def study(records: Sequence[Record]) -> tuple[FirstOrder, Diagnosis]:
@@ -170,24 +184,40 @@ def study(records: Sequence[Record]) -> tuple[FirstOrder, Diagnosis]:
 def summary(motor: FirstOrder, diagnosis: Diagnosis, hand: ByHand | None, unit: str) -> str:
     """What was found, what a reading by hand gives, and what nobody can tell from such records."""
     rate = diagnosis.calibrated[0].value
-    torque = motor.rate * motor.gain  # kt/J, which no diagnosis moves but by a gain
-    lines = [diagnosis.verdict, shrinking(diagnosis), f"time constant J/b   {1e3 / rate:.2f} ms"]
-    for finding in diagnosis.findings:
+    lines = [
+        diagnosis.verdict,
+        shrinking(diagnosis),
+        f"time constant J/b   {1e3 / rate:.2f} ms",
+        *losses(diagnosis.findings, motor, unit),
+    ]
+    if hand is not None:
+        dead = f"{hand.dead:.4f} {unit}".rstrip()
+        lines.append(f"by hand             {dead}, from the line through {hand.n_speeds} steady speeds")
+    lines.append("not in these records: J, kt and b one by one, for no torque was measured")
+    speeds = np.concatenate([record.outputs[:, 0] for record in (*diagnosis.fit, *diagnosis.held_out)])
+    if np.nanmin(speeds) >= 0.0 or np.nanmax(speeds) <= 0.0:
+        lines.append("nor whether what is lost would turn round with the motor, which always turned one way")
+    return "\n".join(lines)
+
+
+def losses(findings: Sequence[Finding], motor: FirstOrder, unit: str) -> list[str]:
+    """Friction, constant loss and delay, a line each; torques as the voltage that makes them."""
+    torque, lines = motor.rate * motor.gain, []
+    for finding in findings:
+        if finding.effect == "input_gain":
+            torque *= finding.parameters[0].value
+    for finding in findings:
         values = {one.name: (one.value, one.std) for one in finding.parameters}
         if finding.effect in ("coulomb_friction", "constant_force"):
             value, deviation = values["Fc" if finding.effect == "coulomb_friction" else "offset"]
             word = "friction" if finding.effect == "coulomb_friction" else "constant loss"
-            lines.append(f"{word:<19} {value / torque:.4f} +- {deviation / torque:.4f} {unit}, lost before it turns")
+            size = f"{value / torque:.4f} +- {deviation / torque:.4f} {unit}".rstrip()
+            told = "lost before it turns" if deviation < abs(value) else "which these records do not fix"
+            lines.append(f"{word:<19} {size}, {told}")
         elif finding.effect == "input_delay":
             value, deviation = values["tau"]
             lines.append(f"delay               {1e3 * value:.2f} +- {1e3 * deviation:.2f} ms")
-    if hand is not None:
-        lines.append(f"by hand             {hand.dead:.4f} {unit}, from the line through {hand.n_speeds} steady speeds")
-    lines.append("not in these records: J, kt and b one by one, for no torque was measured")
-    speeds = np.concatenate([record.outputs[:, 0] for record in (*diagnosis.fit, *diagnosis.held_out)])
-    if speeds.min() >= 0.0 or speeds.max() <= 0.0:
-        lines.append("nor whether what is lost would turn round with the motor, which always turned one way")
-    return "\n".join(lines)
+    return lines
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -390,7 +390,10 @@ def _identified(
         height=standing_out(unjudged, prepared) if kind.kind == "ambient" else None,
         ahead=late_and_early(preparation.input_delay)[1],
     )
-    bent = ring_down_of(prepared, left) if kind.kind in ("transient", "decay") else None
+    bent = None
+    if kind.kind in ("transient", "decay"):  # a sample that was filled by a linear model tells nothing of another
+        seen = [np.where(there, one.outputs, np.nan) for one, there in zip(prepared, preparation.measured, strict=True)]
+        bent = ring_down_of([replace(one, outputs=y) for one, y in zip(prepared, seen, strict=True)], left)
     if bent is not None:
         modes = replace(modes, modes=tuple(doubted(mode, bent.doubt) for mode in modes.modes))
     rest = doubt_of_the_rest(modes, prepared, output_scale=reruns.output_scale) if kind.kind == "decay" else ""

@@ -32,7 +32,7 @@ from modal.preparation.integrators import choose_integrators, given_integrators,
 from modal.preparation.kind import RecordKind, acts
 from modal.preparation.lines import MachineLines, machine_lines
 from modal.preparation.rest import with_rest
-from okid.arrays import FloatArray, whole_number
+from okid.arrays import BoolArray, FloatArray, whole_number
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record, filter_half_length
 from okid.rows import runs_of
@@ -59,6 +59,7 @@ class Preparation:
         n_slow_functions: what was taken off each channel besides its mean.
         choices: all of it, with reasons.
         warnings: what the user must read before believing a number.
+        measured: (n_samples, n_outputs) of each of the records, False where a sample was filled.
         n_rest: rows of rest in front of each of the records, which were not measured.
         at_rest: (n_records, n_inputs) variances of the inputs' noise where a force window took it off; else zeros.
     """
@@ -71,6 +72,7 @@ class Preparation:
     n_slow_functions: int
     choices: tuple[Choice, ...]
     warnings: tuple[str, ...]
+    measured: tuple[BoolArray, ...]
     n_rest: tuple[int, ...]
     at_rest: FloatArray
 
@@ -140,12 +142,12 @@ def prepare(
     if kind == "decay":  # nobody measured a release
         measured = tuple(one.select(inputs=[]) for one in measured)
     banded, factor, band = _to_band(filling.records, decimation, number, measured)
+    lost = filter_half_length(factor) if factor > 1 else 0
     centring: tuple[Choice, ...]
     if rested is None:
         banded = tuple(one.detrended() for one in banded) if factor > 1 else banded
         centring = (_MEAN,)
     else:
-        lost = filter_half_length(factor) if factor > 1 else 0
         n_rest = tuple(max(0, -(-(n - lost) // factor)) for n in n_rest)
         centring = rested.choices
     if isinstance(input_delay, str):
@@ -191,6 +193,10 @@ def prepare(
             *lines.warnings,
             *filling.warnings,
             *([drifting.warning] if drifting.warning else []),
+        ),
+        measured=tuple(
+            there[lost::factor][late : record.n_samples - early]
+            for there, record in zip(filling.measured, own, strict=True)
         ),
         n_rest=tuple(max(0, n - late) for n in n_rest),
         at_rest=np.zeros((len(own), first.n_inputs)) if rested is None or number else rested.at_rest / factor,

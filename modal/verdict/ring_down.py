@@ -49,6 +49,8 @@ MOST_CYCLES = 100
 """and no more cycles, the first ones."""
 EVIDENCE = 10.0
 """Believe in the oscillator where the criterion falls by so much: odds of 150 to 1."""
+LEAST_LEFT = 1e-9
+"""Weigh outputs by what the linear model leaves of each, but by no less than this share of it."""
 CLOSELY = 2.0
 """Ask that the oscillator leaves at most so many times what the linear model leaves, root mean square: where several
 modes ring, neither it nor two modes explain much."""
@@ -67,9 +69,19 @@ MOST_DAMPED = 0.9
 MOST_BENT = 0.3
 """Let frequency and damping change by no more than this with the level."""
 LATER = 0.1
-"""Say what damping and frequency are at this share of the level at the start."""
+"""Say what damping and frequency are at this share of the level at the start, or, where friction stops it before, at"""
+MOVING = 2.0
+"""so many times the level at which it stops."""
+MANIFEST = 1.1
+"""Tell how many times as closely it explains a decay above this."""
 CARRIED = 0.5
 """Ask that modes of the system carry this share of what rings, before one of them is certain."""
+APART = ((0.0, 1.0), (1.0, 0.0), (0.5, 0.5), (1.0, 1.0), (2.0, 2.0), (0.0, 4.0), (4.0, 0.0))
+"""Begin two modes so many widths below and above the one,"""
+HEAVIER = (0.25, 1.0, 4.0)
+"""damped so many times as much as it,"""
+PAIRS = 4
+"""and go on from so many of the nearest to the record."""
 MODE = np.array([True, True, True, False, False, False, False])
 """Parameters of one linear mode: angular frequency, damping ratio, phase; and not friction, p, k1, k2."""
 
@@ -79,13 +91,15 @@ class RingDown:
     """An oscillator that explains decays better than two linear modes.
 
     Attributes:
-        frequency: at the start and at `LATER` of its level [Hz].
+        level: later level of which the others tell, over that at the start.
+        frequency: at the start and at that level [Hz].
         damping_ratio: of one mode that would lose as much in a cycle, at the same levels.
         friction: force of dry friction over that of the spring at the start.
         drag: p, damping ratio for the level at the start.
         gain: rms that two modes leave over that which the oscillator leaves.
     """
 
+    level: float
     frequency: tuple[float, float]
     damping_ratio: tuple[float, float]
     friction: float
@@ -97,7 +111,7 @@ class RingDown:
         """What was found, and what to do."""
         likely = {
             f"as under dry friction of {percent(self.friction)} of the spring's force at the start": _lost(
-                self.friction, LATER
+                self.friction, self.level
             ),
             "as under drag": self.drag,
             "as with a spring that is not linear": abs(self.frequency[0] / self.frequency[1] - 1.0),
@@ -107,9 +121,9 @@ class RingDown:
         first, last = (hertz(frequency) for frequency in self.frequency)
         return (
             f"What rings at {first} Hz does not die away as a mode does, but {like}: damping {damping} at the start, "
-            f"{later} at {percent(LATER)} of that level, where it rings at {last} Hz. Such an oscillator explains the "
-            f"decay {self.gain:.2g} times as closely as two modes do, so no mode is certain; `modal-report gap` tells "
-            "friction, drag and springs apart."
+            f"{later} at {percent(self.level)} of that level, where it rings at {last} Hz. Such an oscillator explains "
+            f"the decay {self._closer} two modes do, so no mode is certain; `modal-report gap` tells friction, drag "
+            "and springs apart."
         )
 
     @property
@@ -119,8 +133,12 @@ class RingDown:
             what=RINGS,
             value="not as modes do",
             reason="an oscillator whose damping and frequency depend on its level explains it "
-            f"{self.gain:.2g} times as closely as two modes",
+            f"{self._closer} two modes",
         )
+
+    @property
+    def _closer(self) -> str:
+        return f"{self.gain:.2g} times as closely as" if self.gain > MANIFEST else "more closely than"
 
     @property
     def doubt(self) -> str:
@@ -147,39 +165,48 @@ def ring_down_of(records: Sequence[Record], left: Sequence[FloatArray]) -> RingD
         >>> round(found.frequency[0], 2), round(found.friction, 3)
         (1.0, 0.03)
     """
-    misfits, price, found = np.zeros(3), np.zeros(3), []
+    misfits, price, found = np.zeros(4), np.zeros(4), []
     n_outputs = records[0].n_outputs
     for record, errors in zip(records, left, strict=True):
         rows = _free_rows(record)
+        rows = rows[np.isfinite(errors[rows]).all(axis=1)]
         if len(rows) < FEWEST or not np.ptp(record.outputs[rows], axis=0).all():
-            return None
+            continue  # too short, or silent
         seen = record.outputs[rows] - record.outputs[rows].mean(axis=0)
-        size = seen.std(axis=0)
-        seen, linear = seen / size, np.nan_to_num(errors[rows] / size)
+        size = np.maximum(np.sqrt(np.mean(errors[rows] ** 2, axis=0)), LEAST_LEFT * seen.std(axis=0))
+        seen, linear = seen / size, errors[rows] / size
         times = (rows - rows[0]).astype(np.float64)
         own = _fitted(times, seen, np.ones_like(MODE), linear)
         if own is None:
             return None
-        one = _fitted(times, seen, MODE)
+        one, bent = _fitted(times, seen, MODE), _fitted(times, seen, MODE, harmonics=True)
         assert one is not None  # nothing was asked of it
-        misfits += (own[0], one[0], _two_modes(times, seen, one[1]))
+        assert bent is not None
+        misfits += (own[0], one[0], bent[0], _two_modes(times, seen, one[1]))
         price += np.log(len(rows)) * np.array(
-            [len(MODE) + 4 * n_outputs, MODE.sum() + 2 * n_outputs, 4 + 5 * n_outputs]
+            [
+                len(MODE) + 4 * n_outputs,
+                MODE.sum() + 2 * n_outputs,
+                MODE.sum() + 4 * n_outputs,
+                4 + 5 * n_outputs,
+            ]
         )
-        found.append((len(rows), own[1], record.dt))
+        found.append((float(np.square(seen).mean()), len(rows), own[1], record.dt))
     total = misfits + price
-    if not total[0] + EVIDENCE < min(total[1], total[2]):
+    if not found or not total[0] + EVIDENCE < total[1:].min() or not misfits[0] < misfits[3]:
         return None
-    _, (angular, damping, _, friction, drag, bend, more), dt = found[0]
-    n_values = n_outputs * sum(n_rows for n_rows, _, _ in found)
-    frequencies = [angular * (1.0 + bend * at + more * at**2) / (2 * np.pi * dt) for at in (1.0, LATER)]
-    ratios = [damping + drag * at + _lost(friction, at) for at in (1.0, LATER)]
+    _, _, (angular, damping, _, friction, drag, bend, more), dt = max(found, key=lambda one: one[0])
+    n_values = n_outputs * sum(n_rows for _, n_rows, _, _ in found)
+    level = min(1.0, max(LATER, MOVING * friction))
+    frequencies = [angular * (1.0 + bend * at + more * at**2) / (2 * np.pi * dt) for at in (1.0, level)]
+    ratios = [damping + drag * at + _lost(friction, at) for at in (1.0, level)]
     return RingDown(
+        level=float(level),
         frequency=(float(frequencies[0]), float(frequencies[1])),
         damping_ratio=(float(ratios[0]), float(ratios[1])),
         friction=float(friction),
         drag=float(drag),
-        gain=float(np.exp((misfits[2] - misfits[0]) / (2 * n_values))),
+        gain=float(np.exp((misfits[3] - misfits[0]) / (2 * n_values))),
     )
 
 
@@ -222,9 +249,9 @@ def _free_rows(record: Record) -> NDArray[np.intp]:
     moves = (np.diff(record.outputs, axis=0) != 0.0).any(axis=1)  # a sensor that stands still tells nothing more
     free[np.flatnonzero(moves).max(initial=0) + 2 :] = False
     rows = np.flatnonzero(free)
-    if len(rows) < FEWEST:
-        return rows
-    turns = _turns(record.outputs[rows] - record.outputs[rows].mean(axis=0))
+    if len(rows) < FEWEST or not np.ptp(record.outputs[rows], axis=0).any():
+        return rows[:0]
+    turns = _turns(rows.astype(np.float64), record.outputs[rows] - record.outputs[rows].mean(axis=0))
     rows = rows[: max(FEWEST, int(MOST_CYCLES * 2 * np.pi / turns))]
     return rows[:: max(1, min(len(rows) // MOST_ROWS, int(2 * np.pi / (A_CYCLE * turns))))]
 
@@ -276,13 +303,21 @@ def motion(parameters: FloatArray, times: FloatArray) -> tuple[FloatArray, Float
     return around + away, velocity, -(angulars**2) * away - 2.0 * decays * velocity
 
 
-def _turns(values: FloatArray) -> float:
-    """Angular frequency [rad/sample] of the strongest line."""
+def _turns(times: FloatArray, values: FloatArray) -> float:
+    """Angular frequency [rad/sample] of the strongest line, rows that are missing on the way from one to the next.
+
+    Args:
+        times: (n,) in samples, rising.
+        values: (n, n_outputs).
+    """
+    spacing = float(np.median(np.diff(times)))
+    even = np.arange(times[0], times[-1] + 0.5 * spacing, spacing)
+    values = values if len(even) == len(times) else np.column_stack([np.interp(even, times, one) for one in values.T])
     size = 4 * len(values)
     window = np.hanning(2 * len(values))[len(values) :, np.newaxis]  # a decay is strongest at its start
     power = (np.abs(np.fft.rfft(window * values, size, axis=0)) ** 2).sum(axis=1)
     power[:4] = 0.0  # the level
-    return float(2 * np.pi * np.argmax(power) / size)
+    return float(2 * np.pi * np.argmax(power) / (size * spacing))
 
 
 def _left(basis: FloatArray, seen: FloatArray) -> FloatArray:
@@ -305,15 +340,17 @@ def _grown(
     bounds: tuple[FloatArray, FloatArray],
     data: tuple[FloatArray, FloatArray],
     linear: FloatArray | None = None,
+    *,
+    whole: bool = False,
 ) -> tuple[float, FloatArray] | None:
-    """Misfit and parameters, the first cycles fitted first and more of the record then.
+    """Misfit and parameters, the first cycles fitted first and more of the record then, or the whole at once.
 
     None as soon as more is left than `CLOSELY` times what a linear model leaves in the same rows.
     """
     times, seen = data
-    turns = _turns(seen)
+    turns = _turns(times, seen)
     scale = np.where(np.isfinite(bounds[1]), 0.02 * bounds[1], 0.1)
-    for n in _longer(times, turns):
+    for n in [len(times)] if whole else _longer(times, turns):
         fit = scipy.optimize.least_squares(
             lambda values, n=n: _left(columns(values, times[:n]), seen[:n]).ravel(),
             np.clip(start, bounds[0] + 1e-9, bounds[1] - 1e-9),
@@ -328,13 +365,18 @@ def _grown(
 
 
 def _fitted(
-    times: FloatArray, seen: FloatArray, free: BoolArray, linear: FloatArray | None = None
+    times: FloatArray,
+    seen: FloatArray,
+    free: BoolArray,
+    linear: FloatArray | None = None,
+    *,
+    harmonics: bool = False,
 ) -> tuple[float, FloatArray] | None:
-    """Misfit and parameters of the oscillator, of which some are free and the others zero.
+    """Misfit and parameters of the oscillator, of which some are free and the others zero; harmonics with friction.
 
     None where it leaves far more than `linear`, which a linear model leaves.
     """
-    turns = _turns(seen)
+    turns = _turns(times, seen)
     first = slice(_longer(times, turns)[0])
     bent = (MOST_BENT,) * 3
     low = np.array([0.5 * turns, 0.0, -np.inf, 0.0, 0.0, *(-value for value in bent[1:])])[free]
@@ -351,12 +393,12 @@ def _fitted(
         for damping in DAMPINGS
         for phase in 2 * np.pi * np.arange(PHASES) / PHASES
     ]
-    best = None
-    for reading in range(3 if free[3] else 1):  # displacement, velocity or acceleration, which are one for a mode
+    best, harmonics = None, harmonics or bool(free[3])
+    for reading in range(3 if harmonics else 1):  # displacement, velocity or acceleration, which are one for a mode
 
         def columns(values: FloatArray, rows: FloatArray, at: int = reading) -> FloatArray:
             x, v, a = motion(whole(values), rows)
-            if not free[3]:
+            if not harmonics:
                 return (x, v, a)[at][:, np.newaxis]
             square = (x**2, 2 * x * v, 2 * v**2 + 2 * x * a)[at]
             cube = (x**3, 3 * x**2 * v, 6 * x * v**2 + 3 * x**2 * a)[at]
@@ -371,7 +413,7 @@ def _fitted(
 
 def _two_modes(times: FloatArray, seen: FloatArray, mode: FloatArray) -> float:
     """Misfit of two linear modes, each with any size and phase in every output; `mode` is the one alone."""
-    turns = _turns(seen)
+    turns = _turns(times, seen)
     span = float(times[-1])
 
     def columns(values: FloatArray, rows: FloatArray) -> FloatArray:
@@ -383,10 +425,21 @@ def _two_modes(times: FloatArray, seen: FloatArray, mode: FloatArray) -> float:
 
     bounds = (np.zeros(4), np.array([np.pi, HEAVIEST, np.pi, HEAVIEST]))
     one = mode[:2]
-    beside = _turns(_left(columns(np.array([*one, *one]), times)[:, :2], seen))
+    beside = _turns(times, _left(columns(np.array([*one, *one]), times)[:, :2], seen))
     decay = max(one[1], 1.0 / (turns * span))
     seconds = [(beside, decay), (turns * (1.0 + 0.5 * decay), 3.0 * decay), (turns + np.pi / span, decay)]
-    fits = (_grown(columns, np.array([*one, *other]), bounds, (times, seen)) for other in seconds)
+    fits = [_grown(columns, np.array([*one, *other]), bounds, (times, seen)) for other in seconds]
+    width = max(decay * turns, np.pi / span)
+    pairs = [
+        np.array([one[0] - below * width, light * decay, one[0] + above * width, heavy * decay])
+        for below, above in APART
+        for light in HEAVIER
+        for heavy in HEAVIER
+    ] + [np.array([*one, beside, heavy * decay]) for heavy in HEAVIER]
+    pairs = [np.clip(pair, bounds[0] + 1e-9, bounds[1] - 1e-9) for pair in pairs]
+    tried = [float((_left(columns(pair, times), seen) ** 2).sum()) for pair in pairs]
+    # what is close together shows in the whole record only: its first cycles are those of one mode
+    fits += [_grown(columns, pairs[i], bounds, (times, seen), whole=True) for i in np.argsort(tried)[:PAIRS]]
     return min(fit[0] for fit in fits if fit is not None)
 
 

@@ -1,10 +1,14 @@
 """The script for a measured motor, on files of a motor that an own integrator turns, and on those of a real bench."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+import okid
 from modal.examples import measured_motor
-from modal.examples.measured_motor import FirstOrder, by_hand, first_order, halves, motor_record
+from modal.examples.measured_motor import FirstOrder, by_hand, first_order, halves, losses, motor_record
 
 DT, RATE, GAIN, DEAD, LATE = 0.02, 26.0, 2.8, 0.22, 8e-3
 """Time constant 38 ms, 2.8 rad/s for a volt, 0.22 V lost in friction, 8 ms late."""
@@ -95,6 +99,45 @@ def test_a_file_that_is_not_there_or_says_nothing_is_one_sentence(tmp_path, caps
     noise = np.random.default_rng(1).standard_normal(400)
     still.write_text("time [s],u [V],speed [rad/s]\n" + "".join(f"{k / 50},{k % 2},{w}\n" for k, w in enumerate(noise)))
     assert "no first-order model" in refused(still)
+
+
+def test_a_reading_by_hand_of_a_motor_that_turns_both_ways():
+    """Speeds GAIN (u - DEAD sign(u)); at 0.1 V it stands still, and one cell of the speed is empty."""
+    volts = np.repeat([-2.6, -1.4, 0.1, 1.4, 2.6], 40)
+    speed = np.where(np.abs(volts) > DEAD, GAIN * (volts - DEAD * np.sign(volts)), 0.0)
+    speed[35] = np.nan
+    hand = by_hand([okid.Record(volts, speed, DT)], FirstOrder(rate=RATE, gain=GAIN))
+    assert hand.gain == pytest.approx(GAIN)
+    assert hand.dead == pytest.approx(DEAD)
+    assert hand.n_speeds == 4
+
+
+def test_an_empty_cell_of_the_speed_is_left_out(files):
+    whole = [halves(motor_record(path, drive="u", speed="speed", counts=True))[0] for path in files]
+    holed = [replace(record, outputs=record.outputs.copy()) for record in whole]
+    holed[0].outputs.setflags(write=True)
+    holed[0].outputs[100, 0] = np.nan
+    found, before = first_order(holed), first_order(whole)
+    assert found.gain == pytest.approx(before.gain, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("gain", "deviation", "told"),
+    [
+        (0.5, 0.01, "friction            0.2200 +- 0.0100 V, lost before it turns"),
+        (1.0, 9.0, "these records do not fix"),
+    ],
+)
+def test_a_loss_is_told_in_volts_of_the_gain_that_was_found(gain, deviation, told):
+    """A torque of friction over the torque of a volt, which is what the gain makes of it."""
+    torque = RATE * GAIN * gain
+    loss = SimpleNamespace(name="Fc", value=DEAD * torque, std=deviation * torque)
+    findings = [
+        SimpleNamespace(effect="coulomb_friction", parameters=[loss]),
+        SimpleNamespace(effect="input_gain", parameters=[SimpleNamespace(name="gain", value=gain, std=0.01)]),
+    ]
+    (line,) = losses(findings, FirstOrder(rate=RATE, gain=GAIN), "V")
+    assert line.endswith(told)
 
 
 @pytest.mark.slow

@@ -138,7 +138,7 @@ def test_no_mode_is_certain_in_a_decay_under_friction():
 
 
 def test_the_sentence_says_what_takes_most():
-    plain = RingDown(frequency=(2.0, 2.0), damping_ratio=(0.02, 0.13), friction=0.02, drag=0.0, gain=3.0)
+    plain = RingDown(level=LATER, frequency=(2.0, 2.0), damping_ratio=(0.02, 0.13), friction=0.02, drag=0.0, gain=3.0)
     assert "dry friction of 2 % of the spring's force" in plain.sentence
     assert "3 times as closely as two modes" in plain.sentence
     assert "damping 2 % at the start, 13 % at 10 %" in plain.sentence
@@ -215,3 +215,101 @@ def test_no_mode_is_certain_of_a_pendulum_that_swings_far():
     assert found.record_kind == "decay"
     assert not [mode for mode in found.modes.modes if mode.verdict == "system"]
     assert any("so it is no sum of modes" in text for text in found.warnings)
+
+
+# --- rows, gaps, silent channels --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("n_samples", [8100, 13000])
+def test_of_long_records_every_so_manieth_row_tells_the_same(n_samples):
+    """The frequency is per sample, whatever rows are taken."""
+    slow, _, _ = motion(
+        np.array([2 * np.pi * 1.3 * 0.001, 0.004, 0.3, 0.02, 0.0, 0.0, 0.0]), np.arange(float(n_samples))
+    )
+    noise = 1e-3 * np.random.default_rng(1).standard_normal((n_samples, 1))
+    found = ring_down_of([okid.Record([], slow[:, np.newaxis] + noise, 0.001)], [noise])
+    assert found is not None
+    assert np.allclose(found.frequency, 1.3, rtol=2e-3)
+    assert found.friction == pytest.approx(0.02, rel=0.03)
+
+
+@pytest.mark.parametrize("kept", [slice(None, None, 2), "half"])
+def test_rows_that_are_missing_stretch_no_frequency(kept):
+    friction = released(700, friction=0.02, start=(0.6, 6.0))
+    there = np.zeros(700, dtype=bool)
+    there[kept if kept != "half" else np.random.default_rng(1).random(700) < 0.5] = True
+    found = asked(np.where(there, friction, np.nan), 1e-3)
+    assert found is not None
+    assert np.allclose(found.frequency, 1.3, rtol=2e-3)
+
+
+def test_a_record_too_short_for_the_question_silences_no_other():
+    long = released(700, friction=0.02, start=(0.6, 6.0))[:, np.newaxis]
+    records = [okid.Record([], part, DT) for part in (long[:20], long, np.ones((100, 1)))]
+    left = [1e-3 * np.random.default_rng(1).standard_normal(record.outputs.shape) for record in records]
+    records = [
+        replace(record, outputs=record.outputs + errors) for record, errors in zip(records[:2], left[:2], strict=True)
+    ]
+    assert ring_down_of([*records, okid.Record([], np.ones((100, 1)), DT)], left) is not None
+    assert ring_down_of(records[:1], left[:1]) is None
+
+
+def test_nothing_is_asked_of_an_output_that_stands_still():
+    still = np.ones((200, 1))
+    still[150] = np.nan
+    assert ring_down_of([okid.Record([], still, DT)], [np.zeros_like(still)]) is None
+
+
+def test_a_dead_output_changes_no_number():
+    friction = released(700, friction=0.02, start=(0.6, 6.0))
+    alone, beside = asked(friction, 5e-3), asked(np.column_stack([friction, np.zeros(700)]), 5e-3)
+    assert alone is not None
+    assert beside is not None
+    assert beside.friction == pytest.approx(alone.friction, rel=0.05)
+    assert beside.frequency == pytest.approx(alone.frequency, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "apart", "size", "other"),
+    [(0.0037, 1.01, 0.106, 0.003), (0.01, 1.05, 0.05, 0.04), (0.003, 0.93, 0.4, 0.003), (0.002, 1.004, 0.3, 0.02)],
+)
+def test_close_pairs_are_not_accused(ratio, apart, size, other):
+    """A weak mode, or a heavily damped one, beside another within a few of its widths."""
+    turned = 2 * np.pi * 0.02 * np.arange(800.0)
+    x = np.exp(-ratio * turned) * np.cos(turned + 0.7) + size * np.exp(-other * apart * turned) * np.cos(apart * turned)
+    for seed in range(3):
+        assert asked(x, 2e-3, seed=seed) is None
+
+
+def test_harmonics_alone_are_no_ring_down():
+    """A plucked string has them of its own, a sensor that is not linear makes them of one mode."""
+    turned = 0.15 * np.arange(800.0)
+    at = np.array([0.2, 0.4, 0.7])
+    string = sum(
+        (np.exp(-0.005 * k * turned) * np.cos(k * turned))[:, np.newaxis] * np.sin(k * np.pi * at) / k**2
+        for k in (1, 2, 3)
+    )
+    assert asked(string, 1e-3) is None
+    one = np.exp(-0.005 * turned) * np.cos(turned)
+    assert asked(one + 0.05 * one**2, 1e-3) is None
+
+
+def test_damping_is_told_at_a_level_that_is_reached():
+    """Friction of a quarter of the spring's force stops it far above a tenth."""
+    found = asked(released(300, friction=0.25, start=(1.0, 0.0)), 1e-3)
+    assert found is not None
+    assert found.level == pytest.approx(0.5, rel=0.1)
+    assert max(found.damping_ratio) < 0.4
+    assert "% at 5" in found.sentence
+
+
+@pytest.mark.parametrize(("missing", "seed"), [(0.2, 0), (0.5, 1)])
+def test_samples_that_were_filled_are_no_evidence(missing, seed):
+    """They come from a linear model, and so would say that a mode rings."""
+    rng = np.random.default_rng(seed)
+    outputs = released(343, w=2 * np.pi * 2.3, friction=0.0514, start=(1.0, 0.0)) + 2.6e-3 * rng.standard_normal(343)
+    outputs[rng.random(343) < missing] = np.nan
+    outputs[0] = 1.0
+    found = modal.identify(okid.Record([], outputs, DT), kind="decay")
+    assert not [mode for mode in found.modes.modes if mode.verdict == "system"]
+    assert any("rings at 2.301 Hz does not die away" in text for text in found.warnings)
