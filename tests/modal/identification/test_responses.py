@@ -202,7 +202,10 @@ def identified_shaker(seed, rounding=0.0):
     return test, modal.identify(FrequencyResponse(test.response * rounded, test.frequencies, **known))
 
 
-@pytest.mark.parametrize(("seed", "rounding"), [(341, 0.0), (341, 1e-12), (342, 0.0)])
+OTHER_SHAKERS = [pytest.param(seed, 0.0, marks=pytest.mark.slow) for seed in (341, 342)]
+
+
+@pytest.mark.parametrize(("seed", "rounding"), [(341, 1e-12), *OTHER_SHAKERS])
 def test_a_force_that_dips_at_resonances_widens_the_intervals(seed, rounding):
     """Deviations of a force that is white over a resonance are up to twenty times too small.
 
@@ -216,6 +219,7 @@ def test_a_force_that_dips_at_resonances_widens_the_intervals(seed, rounding):
     ]
     near = [(mode, f, d) for mode, f, d in pairs if abs(mode.frequency - f) < 0.005 * f and mode.verdict != "noise"]
     assert len(near) >= 3
+    assert all(mode.frequency_std > 0 for mode in result.modes)
     for mode, f, d in near:
         assert abs(mode.frequency - f) < 4 * mode.frequency_std < 0.05 * f
         assert abs(mode.damping_ratio - d) < 4 * mode.damping_ratio_std
@@ -271,6 +275,7 @@ def test_the_low_pass_of_an_analyser_is_no_mode():
     np.testing.assert_allclose([mode.frequency for mode in modes.system], test.true_frequencies, rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_no_deviation_is_zero():
     """The covariance of joined lines comes from a model of the leakage, and may have negative parts."""
     _, result = identified_shaker(310)

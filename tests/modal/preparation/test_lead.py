@@ -174,7 +174,7 @@ def test_set_ups_look_ahead_together():
     seen = ([0, 1, 2], [0, 3])
     records = []
     for seed, outputs in zip((4, 5), seen, strict=True):
-        record, gains = band_limited(seed, above=True, structure=4, n_rows=6000)
+        record, gains = band_limited(seed, above=True, structure=4, n_rows=3000)
         names = [f"p{output}" for output in range(4)]
         record = replace(record, output_names=names, name=f"set-up {seed}")
         records.append(record.select(outputs=[names[output] for output in outputs]))
