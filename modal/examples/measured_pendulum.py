@@ -213,7 +213,9 @@ def summary(read: Sequence[Peaks], diagnosis: Diagnosis, unit: str) -> str:
         elif finding.effect == "bouc_wen_hysteresis":
             creep, deviation = values["yield_displacement"]
             lines.append(f"friction            {values['a'][0] * creep / stiffness:.3g} {unit} of gravity")
-            lines.append(f"creeps before       {creep:.3g} +- {deviation:.2g} {unit}, about which it holds as a spring")
+            size = f"{creep:.2g} +- {deviation:.2g} {unit}"
+            held = "over which it holds as a spring" if deviation < creep else "which swings of this size do not fix"
+            lines.append(f"creeps before       {size}, {held}")
     for number, one in enumerate(read, start=1):
         alone, dry, both = one.left
         lines.append(

@@ -25,6 +25,7 @@ PAGES = {  # name: (folder in WORK, page, first and last row of pixels)
     "gallery_hammer": ("hammer", "report.html", 0, 552),
     "gallery_motor": ("motor_propeller", "report.html", 805, 1655),
     "gallery_bench": ("measured_motor", "report.html", 0, 1100),
+    "gallery_pendulum": ("measured_pendulum", "report.html", 0, 1100),
     "gallery_mass": ("struck_mass", "1-full-order.svg", 0, 396),
     "gallery_records": ("many_records", "comparison.html", 0, 1080),
     "gallery_set_ups": ("six_set_ups", "report.html", 0, 552),
@@ -58,6 +59,11 @@ def run(name, folder):
             files = [str(bench / f"prbs_{number}.csv") for number in (1, 2)]
             columns = ["--inputs", "u", "--outputs", "speed", "--counts"]
             importlib.import_module("modal.examples.measured_motor").main([*files, *columns, "-o", str(folder)])
+        elif name == "measured_pendulum":
+            swing = Path(__file__).parents[3] / "shared" / "data" / "pendulum_single" / "free_swing.csv"
+            importlib.import_module("modal.examples.measured_pendulum").main(
+                [str(swing), "--outputs", "angle", "-o", str(folder)]
+            )
         else:
             importlib.import_module(f"modal.examples.{name}").main(["-o", str(folder)])
     print(f"{name}\n{told.getvalue()}")
