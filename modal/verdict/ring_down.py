@@ -33,6 +33,7 @@ import scipy
 from numpy.typing import NDArray
 
 from modal.modes.mode import Choice, ModalModel
+from modal.verdict.probability import FEWEST_TURNS
 from modal.wording.text import hertz, percent
 from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
@@ -218,8 +219,7 @@ def doubt_of_the_rest(modes: ModalModel, records: Sequence[Record], *, output_sc
         records: the decays.
         output_scale: (n_outputs,) what the outputs are divided by.
     """
-    n_steps = min(MOST_ROWS, max(record.n_samples for record in records))
-    share = carried(modes, n_steps=n_steps, output_scale=output_scale)
+    share = carried(modes, n_steps=max(record.n_samples for record in records), output_scale=output_scale)
     if share >= CARRIED or not any(mode.verdict == "system" for mode in modes.modes):
         return ""
     return f"poles that were not found again carry {percent(min(1.0 - share, 1.0))} of what rings down"
@@ -228,16 +228,22 @@ def doubt_of_the_rest(modes: ModalModel, records: Sequence[Record], *, output_sc
 def carried(modes: ModalModel, *, n_steps: int, output_scale: FloatArray) -> float:
     """Share of the energy of all that oscillates that the modes of the system carry together, pulse by pulse.
 
-    Poles that follow a curve which is no sum of modes cancel one another: alone each tells nothing, so what is told is
-    what all the others leave of the sum, below zero where they are more than it. 1 where nothing oscillates.
+    What is doubted for something else, as hum is, and what hardly turns, as drift, counts on neither side. Poles that
+    follow a curve which is no sum of modes cancel one another: alone each tells nothing, so what is told is what all
+    the others leave of the sum, below zero where they are more than it. 1 where nothing oscillates.
     """
-    turning = [mode for mode in modes.modes if mode.kind == "oscillatory"]
+    turning = [
+        mode
+        for mode in modes.modes
+        if mode.kind == "oscillatory" and not mode.doubts and mode.frequency * n_steps * modes.dt >= FEWEST_TURNS
+    ]
     if not turning:
         return 1.0
     others = np.array([mode.verdict != "system" for mode in turning])
     poles = np.array([complex(min(mode.pole.real, 0.0), mode.pole.imag) for mode in turning])
     sizes = np.array([np.outer(mode.shape / output_scale, mode.participation).ravel() for mode in turning])
-    rings = np.exp(poles * modes.dt * np.arange(n_steps)[:, np.newaxis])
+    steps = np.arange(0, n_steps, max(1, n_steps // MOST_ROWS))
+    rings = np.exp(poles * modes.dt * steps[:, np.newaxis])
     whole, rest = (rings @ sizes).real, (rings[:, others] @ sizes[others]).real
     return 1.0 - float(np.square(rest).sum() / max(np.square(whole).sum(), np.finfo(float).tiny))
 

@@ -313,3 +313,19 @@ def test_samples_that_were_filled_are_no_evidence(missing, seed):
     found = modal.identify(okid.Record([], outputs, DT), kind="decay")
     assert not [mode for mode in found.modes.modes if mode.verdict == "system"]
     assert any("rings at 2.301 Hz does not die away" in text for text in found.warnings)
+
+
+@pytest.mark.parametrize("beside", ["hum", "drift"])
+def test_hum_and_drift_take_no_mode_of_a_decay_away(beside):
+    """They are stronger than what rings, and no part of it."""
+    rng, times = np.random.default_rng(2), 0.002 * np.arange(4000)
+    rings = [(7.3, 0.02, (1.0, 0.6)), (19.1, 0.015, (-0.5, 0.7)), (43.0, 0.01, (0.3, -0.2))]
+    outputs = 2e-3 * rng.standard_normal((4000, 2))
+    for frequency, ratio, shape in rings:
+        turned = 2 * np.pi * frequency * times
+        outputs += (np.exp(-ratio * turned) * np.cos(turned + frequency))[:, np.newaxis] * shape
+    other = np.sin(2 * np.pi * 50 * times) if beside == "hum" else 2 * np.sin(2 * np.pi * 0.06 * times + 0.3)
+    outputs += other[:, np.newaxis] * [0.5, 0.4]
+    found = modal.identify(okid.Record([], outputs, 0.002), kind="decay")
+    seen = [mode.frequency for mode in found.modes.modes if mode.verdict == "system"]
+    assert seen == pytest.approx([7.3, 19.1, 43.0], rel=2e-3)
