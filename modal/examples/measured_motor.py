@@ -188,7 +188,7 @@ def summary(motor: FirstOrder, diagnosis: Diagnosis, hand: ByHand | None, unit: 
         diagnosis.verdict,
         shrinking(diagnosis),
         f"time constant J/b   {1e3 / rate:.2f} ms",
-        *losses(diagnosis.findings, motor, unit),
+        *lost_in_words(diagnosis.findings, motor, unit),
     ]
     if hand is not None:
         dead = f"{hand.dead:.4f} {unit}".rstrip()
@@ -200,7 +200,7 @@ def summary(motor: FirstOrder, diagnosis: Diagnosis, hand: ByHand | None, unit: 
     return "\n".join(lines)
 
 
-def losses(findings: Sequence[Finding], motor: FirstOrder, unit: str) -> list[str]:
+def lost_in_words(findings: Sequence[Finding], motor: FirstOrder, unit: str) -> list[str]:
     """Friction, constant loss and delay, a line each; torques as the voltage that makes them."""
     torque, lines = motor.rate * motor.gain, []
     for finding in findings:

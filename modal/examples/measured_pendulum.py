@@ -152,7 +152,7 @@ def read_peaks(angles: FloatArray) -> Peaks:
     )
 
 
-def linear_model(record: Record, *, angular: float, damping_ratio: float) -> StructuralModel:
+def small_swings(record: Record, *, angular: float, damping_ratio: float) -> StructuralModel:
     """The textbook's pendulum of small angles, with an inertia of 1."""
     return StructuralModel(
         np.array([[1.0]]),
@@ -191,7 +191,7 @@ def study(records: Sequence[Record]) -> tuple[list[Peaks], Diagnosis]:
     period = float(np.median(periods))
     fits, helds = zip(*(quarters(swing, period) for swing in swings), strict=True)
     ratio = max(float(np.median([one.damping_ratio for one in read])), 1e-3)
-    model = linear_model(records[0], angular=2 * np.pi / period, damping_ratio=ratio)
+    model = small_swings(records[0], angular=2 * np.pi / period, damping_ratio=ratio)
     catalogue = {key: CATALOGUE[key] for key in OF_A_PENDULUM}
     return read, diagnose(
         model, [part for own in fits for part in own], [part for own in helds for part in own], catalogue=catalogue

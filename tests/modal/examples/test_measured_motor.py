@@ -8,7 +8,7 @@ import pytest
 
 import okid
 from modal.examples import measured_motor
-from modal.examples.measured_motor import FirstOrder, by_hand, first_order, halves, losses, motor_record
+from modal.examples.measured_motor import FirstOrder, by_hand, first_order, halves, lost_in_words, motor_record
 
 DT, RATE, GAIN, DEAD, LATE = 0.02, 26.0, 2.8, 0.22, 8e-3
 """Time constant 38 ms, 2.8 rad/s for a volt, 0.22 V lost in friction, 8 ms late."""
@@ -136,7 +136,7 @@ def test_a_loss_is_told_in_volts_of_the_gain_that_was_found(gain, deviation, tol
         SimpleNamespace(effect="coulomb_friction", parameters=[loss]),
         SimpleNamespace(effect="input_gain", parameters=[SimpleNamespace(name="gain", value=gain, std=0.01)]),
     ]
-    (line,) = losses(findings, FirstOrder(rate=RATE, gain=GAIN), "V")
+    (line,) = lost_in_words(findings, FirstOrder(rate=RATE, gain=GAIN), "V")
     assert line.endswith(told)
 
 
