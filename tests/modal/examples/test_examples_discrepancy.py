@@ -133,9 +133,9 @@ def page(repository):
     return (repository / "modal" / "docs" / "gallery.md").read_text(encoding="utf-8")
 
 
-def test_the_eight_stories_can_be_run(page):
+def test_the_nine_stories_can_be_run(page):
     modules = set(re.findall(r"python -m (modal\.examples\.\w+)", page))
-    assert len(modules) == 8
+    assert len(modules) == 9
     assert all(callable(importlib.import_module(module).main) for module in modules)
 
 
@@ -144,7 +144,7 @@ def test_every_section_has_a_small_picture_and_every_link_a_target(page, reposit
     sections = page.split("\n## ")[1:]
     commands_alone = [one for one in sections if one.startswith("From one file to a cluster")]
     assert len(commands_alone) == 1
-    assert len(pictures) == len(set(pictures)) == len(sections) - 1 == 9
+    assert len(pictures) == len(set(pictures)) == len(sections) - 1 == 10
     for link in [*pictures, *re.findall(r"\]\(([\w./]+)\)", page)]:
         assert (repository / "modal" / "docs" / link).is_file(), link
     for picture in pictures:
