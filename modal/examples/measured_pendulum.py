@@ -6,7 +6,7 @@ An arm is lifted and let go, an angle is measured until it stands still, nothing
 
 and the peaks then fall by the same share each half cycle. Dry friction takes the same *amount* each half cycle, so
 that the peaks fall along a line and the arm stops away from where it would hang. A person with a ruler tells them
-apart by the peaks: here this is `read_peaks`, three laws of one or two numbers. But peaks know nothing of what happens
+apart by the peaks: here this is `read_peaks`, with damping, friction or both. But peaks know nothing of what happens
 between them, and the last ones of a bearing that creeps before it slides lie on neither: so
 `modal.discrepancy.diagnose` compares the whole motion with the laws of the catalogue, on quarters of the swing that the
 fit has not seen, down to a tenth of the first peak.
@@ -73,18 +73,23 @@ def swing_record(path: Path, *, angle: str) -> Record:
     """One file from its first turn to where it stands still, about where it then hangs."""
     record = read_record(path, inputs=[], outputs=[angle])
     seen = record.outputs[:, 0]
-    moves = np.flatnonzero(np.diff(seen[np.isfinite(seen)]) != 0.0)
+    there = np.flatnonzero(np.isfinite(seen))
+    moves = np.flatnonzero(np.diff(seen[there]) != 0.0)
     if not len(moves):
         raise InsufficientDataError(f"{path.name}: {angle} never moves; give the file of a swing.")
-    rest = seen[moves[-1] + 2 :]
-    level = np.nanmedian(rest) if len(rest) else np.nanmean(seen)
-    record = replace(record, outputs=record.outputs - level)
-    return record.samples(0, min(record.n_samples, int(moves[-1]) + 2))
+    last = moves[-1] + 1  # it stands where it comes to
+    rest = seen[there[last + 1 :]]
+    level = np.median(rest) if len(rest) else np.mean(seen[there])
+    return replace(record, outputs=record.outputs - level).samples(0, int(there[last]) + 1)
 
 
 def turns(record: Record) -> tuple[FloatArray, FloatArray]:
-    """(n,) times [s] and angles of the turning points, from the largest parabola through the rows about each."""
-    seen, dt = record.outputs[:, 0], record.dt
+    """(n,) times [s] and angles of the turning points, each by a parabola through the rows about the largest angle.
+
+    Across missing rows it runs straight.
+    """
+    seen, dt, there = record.outputs[:, 0], record.dt, np.isfinite(record.outputs[:, 0])
+    seen = np.interp(np.arange(len(seen)), np.flatnonzero(there), seen[there])
     crossed = np.flatnonzero(np.signbit(seen[:-1]) != np.signbit(seen[1:]))
     times, angles = [], []
     for begin, end in pairwise(crossed.tolist()):
@@ -114,7 +119,8 @@ def read_peaks(angles: FloatArray) -> Peaks:
         >>> round(found.friction, 6), found.left[2] < 1e-7 < found.left[0]
         (0.002, True)
     """
-    angles = angles[: int(np.flatnonzero(np.abs(angles) > SMALLEST * np.abs(angles[:2]).max(initial=0.0))[-1]) + 1]
+    large = np.flatnonzero(np.abs(angles) > SMALLEST * np.abs(angles[:2]).max(initial=0.0))
+    angles = angles[: large.max(initial=-1) + 1]
     if len(angles) < FEWEST_PEAKS:
         raise InsufficientDataError(
             f"the swing turns {len(angles)} times above a tenth of its size, and {FEWEST_PEAKS} are needed to tell "

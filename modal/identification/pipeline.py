@@ -60,7 +60,7 @@ from modal.verdict.excitation import between_lines, beyond_inputs, by_chance, dr
 from modal.verdict.judgement import doubted, judge
 from modal.verdict.probability import FILTER_EDGE
 from modal.verdict.repeatability import repeat
-from modal.verdict.ring_down import doubt_of_the_rest, ring_down_of
+from modal.verdict.ring_down import doubt_of_the_rest, no_modes, ring_down_of
 from okid.arrays import FloatArray, listener, one_blas_thread, whole_number
 from okid.errors import IdentificationError, InvalidDataError
 from okid.excitation import check_excitation
@@ -429,6 +429,7 @@ def _identified(
             kind.choice,
             *((RELEASED,) if kind.kind == "decay" else ()),
             *(() if bent is None else (bent.choice,)),
+            *((no_modes(rest),) if rest else ()),
             *preparation.choices,
             *explain_scoring(prepared, _folds(kind)),
             *(() if white is None else explain_filter(white.filter, white.share)),

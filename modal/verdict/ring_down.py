@@ -13,7 +13,8 @@ approximation as x^2 and x^3 do, which each output shows in its own size.
 No pole makes a line, but enough poles side by side follow any curve: a decay under friction is fitted down to its noise
 by a linear model of some twenty states, which are no modes and yet are found again in every part of it. So this
 oscillator competes by Schwarz's criterion with linear models of as few numbers and as many: with the one mode that it
-is without f, k1, k2 and p, and with two modes, free in every output. Two modes make any beat, and no line.
+is without f, k1, k2 and p, with that mode and harmonics, as a string or a crooked sensor makes them, and with two
+modes, free in every output. Two modes make any beat, and no line.
 
 Where no such oscillator is near either, as for a pendulum that swings far, the poles side by side are still not found
 again one by one. Whoever is found among them is no mode for that: modes that are certain are most of what rings down.
@@ -130,12 +131,8 @@ class RingDown:
     @property
     def choice(self) -> Choice:
         """That modes were asked whether they describe it, and do not."""
-        return Choice(
-            what=RINGS,
-            value="not as modes do",
-            reason="an oscillator whose damping and frequency depend on its level explains it "
-            f"{self._closer} two modes",
-        )
+        reason = f"an oscillator whose damping and frequency depend on its level explains it {self._closer} two modes"
+        return no_modes(reason)
 
     @property
     def _closer(self) -> str:
@@ -177,21 +174,15 @@ def ring_down_of(records: Sequence[Record], left: Sequence[FloatArray]) -> RingD
         size = np.maximum(np.sqrt(np.mean(errors[rows] ** 2, axis=0)), LEAST_LEFT * seen.std(axis=0))
         seen, linear = seen / size, errors[rows] / size
         times = (rows - rows[0]).astype(np.float64)
-        own = _fitted(times, seen, np.ones_like(MODE), linear)
+        own = _fitted(times, seen, np.ones_like(MODE), harmonics=True, linear=linear)
         if own is None:
             return None
-        one, bent = _fitted(times, seen, MODE), _fitted(times, seen, MODE, harmonics=True)
+        one, crooked = (_fitted(times, seen, MODE, harmonics=harmonics) for harmonics in (False, True))
         assert one is not None  # nothing was asked of it
-        assert bent is not None
-        misfits += (own[0], one[0], bent[0], _two_modes(times, seen, one[1]))
-        price += np.log(len(rows)) * np.array(
-            [
-                len(MODE) + 4 * n_outputs,
-                MODE.sum() + 2 * n_outputs,
-                MODE.sum() + 4 * n_outputs,
-                4 + 5 * n_outputs,
-            ]
-        )
+        assert crooked is not None
+        misfits += (own[0], one[0], crooked[0], _two_modes(times, seen, one[1]))
+        numbers = [len(MODE), MODE.sum(), MODE.sum(), 4]
+        price += np.log(len(rows)) * (np.array(numbers) + n_outputs * np.array([4, 2, 4, 5]))
         found.append((float(np.square(seen).mean()), len(rows), own[1], record.dt))
     total = misfits + price
     if not found or not total[0] + EVIDENCE < total[1:].min() or not misfits[0] < misfits[3]:
@@ -209,6 +200,11 @@ def ring_down_of(records: Sequence[Record], left: Sequence[FloatArray]) -> RingD
         drag=float(drag),
         gain=float(np.exp((misfits[3] - misfits[0]) / (2 * n_values))),
     )
+
+
+def no_modes(reason: str) -> Choice:
+    """The choice that says of a decay that modes do not describe it."""
+    return Choice(what=RINGS, value="not as modes do", reason=reason)
 
 
 def doubt_of_the_rest(modes: ModalModel, records: Sequence[Record], *, output_scale: FloatArray) -> str:
@@ -374,11 +370,11 @@ def _fitted(
     times: FloatArray,
     seen: FloatArray,
     free: BoolArray,
-    linear: FloatArray | None = None,
     *,
-    harmonics: bool = False,
+    harmonics: bool,
+    linear: FloatArray | None = None,
 ) -> tuple[float, FloatArray] | None:
-    """Misfit and parameters of the oscillator, of which some are free and the others zero; harmonics with friction.
+    """Misfit and parameters of the oscillator, with harmonics or without; some are free and the others zero.
 
     None where it leaves far more than `linear`, which a linear model leaves.
     """
@@ -399,7 +395,7 @@ def _fitted(
         for damping in DAMPINGS
         for phase in 2 * np.pi * np.arange(PHASES) / PHASES
     ]
-    best, harmonics = None, harmonics or bool(free[3])
+    best = None
     for reading in range(3 if harmonics else 1):  # displacement, velocity or acceleration, which are one for a mode
 
         def columns(values: FloatArray, rows: FloatArray, at: int = reading) -> FloatArray:

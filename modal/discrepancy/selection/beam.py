@@ -188,6 +188,7 @@ def expand(node: Node, task: Task) -> list[Node]:
         fits = [fit for fit in fits if fit.level <= task.reached]
         runs, known = _free_runs(_ordered(_leading(_worth(fits, observed), RUNS)), task, node)
         found += _judged(_leading(runs, FINALISTS), task, known, reach=REACH_SHARP if node.effects else REACH)
+        # far above the floor an effect that takes most away may stand for two: there all are tried beside the model
         if _clear(found, node) and (node.effects or _reached(found) <= FAR_ABOVE):
             break
     return found

@@ -431,8 +431,8 @@ def _best(nodes: Sequence[Node], root: Node, task: Task) -> Node:
 
     Where none does, the guess is one of laws that all records share, if there is any: a number that each record has for
     itself, the held-out ones too, takes up what stays the same along a record, such as friction in one direction. Far
-    above the floor what is left is no noise, and the likelihood counts it as if it were: there the held-out error
-    alone decides among those with the fewest effects.
+    above the floor what is left is no noise, and the likelihood counts it as if it were: there, of those with the
+    fewest effects that leave about as much held out, the one with the fewest free numbers is the guess.
     """
     nodes = [node for node in nodes if explains_both(node)] or nodes
     if not any(explained(node.held_out_level) for node in nodes):

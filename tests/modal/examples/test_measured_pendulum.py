@@ -74,6 +74,17 @@ def test_the_whole_motion_names_friction_and_its_size(path, capsys):
     assert "for no torque was measured" in told
 
 
+def test_empty_cells_leave_what_the_peaks_say(path, tmp_path):
+    rows = path.read_text().splitlines()
+    holed = tmp_path / "holed.csv"
+    empty = set(range(300, 340)) | {5, 901, 2000}
+    holed.write_text("\n".join(row.split(",")[0] + "," if k in empty else row for k, row in enumerate(rows)) + "\n")
+    whole, found = (swing_record(one, angle="angle") for one in (path, holed))
+    assert found.n_samples == whole.n_samples
+    assert np.nanmax(np.abs(found.outputs - whole.outputs)) < 1e-4
+    assert read_peaks(turns(found)[1]).friction == pytest.approx(FRICTION, rel=0.03)
+
+
 def test_a_file_without_a_swing_is_one_sentence(tmp_path, capsys):
     def refused(path):
         assert measured_pendulum.main([str(path), "--outputs", "angle"]) == 2
@@ -86,6 +97,12 @@ def test_a_file_without_a_swing_is_one_sentence(tmp_path, capsys):
     still.write_text("time [s],angle [rad]\n" + "".join(f"{k / 100},0.25\n" for k in range(200)))
     assert "never moves" in refused(still)
     assert "larger angle" in refused(swing_file(tmp_path / "short.csv", seconds=0.9))
+    ramp = tmp_path / "ramp.csv"
+    ramp.write_text("time [s],angle [rad]\n" + "".join(f"{k / 100},{k}\n" for k in range(200)))
+    assert "turns 0 times" in refused(ramp)
+    other = tmp_path / "other.csv"
+    other.write_text("time [s],speed [rad/s]\n" + "".join(f"{k / 100},{k % 7}\n" for k in range(200)))
+    assert "angle" in refused(other)
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from modal.estimation.free_run import free_runs
 from modal.preparation.quick_model import quick_model
 from modal.preparation.steps import SHORTEST, prepare, split_at_input_gaps
 from okid.errors import InsufficientDataError, InvalidDataError
-from okid.record import Record
+from okid.record import Record, filter_half_length
 
 
 def a_record(n_samples=900, *, name="", seed=0):
@@ -220,6 +220,19 @@ def test_outputs_at_half_the_rate_are_filled_and_said():
     assert "50 % of the output samples were missing" in prepared.warnings[0]
     left = prepare([Record(record.inputs, outputs, record.dt)], missing="leave", drift="none")
     assert np.isnan(left.records[0].outputs).sum() == 3000
+
+
+@pytest.mark.parametrize(("decimation", "first"), [(1, 0), (2, filter_half_length(2))])
+def test_which_samples_were_filled_is_kept_through_decimation_and_delay(decimation, first):
+    _, record = a_system(np.random.default_rng(4))
+    outputs = record.outputs.copy()
+    outputs[np.arange(len(outputs)) % 8 < 4] = np.nan
+    given = {"decimation": decimation, "input_delay": 3, "drift": "none", "integrators": 0}
+    prepared = prepare([Record(record.inputs, outputs, record.dt)], **given)
+    (there,), (ready,) = prepared.measured, prepared.records
+    assert there.shape == ready.outputs.shape
+    at = first + decimation * (np.arange(len(there)) + prepared.input_delay[0])
+    np.testing.assert_array_equal(there, ~np.isnan(outputs[at]))
 
 
 def test_arguments_are_kept():

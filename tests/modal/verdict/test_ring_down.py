@@ -215,6 +215,8 @@ def test_no_mode_is_certain_of_a_pendulum_that_swings_far():
     assert found.record_kind == "decay"
     assert not [mode for mode in found.modes.modes if mode.verdict == "system"]
     assert any("so it is no sum of modes" in text for text in found.warnings)
+    assert [one.value for one in found.choices if one.what == RINGS] == ["not as modes do"]
+    assert next_sentences(found)[0].startswith("Quote no damping")
 
 
 # --- rows, gaps, silent channels --------------------------------------------------------------------------------------
