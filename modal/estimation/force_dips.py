@@ -21,8 +21,6 @@ import numpy as np
 from modal.estimation.response_fit import LARGEST_SIZE, MOST_DAMPING, ResponseFit, ResponseLines, orthonormal
 from okid.arrays import TINY, ComplexArray, FloatArray
 
-STEP = 1e-7
-"""Differentiate by steps of this size in the logarithm of a pole: a thousandth of the narrowest resonance's width."""
 FIRST_STEPS, MOST_STEPS = 8, 24
 """Take so many Gauss-Newton steps from each start, and more where they found that there are dips."""
 ROUNDS = 2
@@ -108,33 +106,58 @@ def with_dips(
     return number, search.fit(best_point), np.abs(quantities[:, 1:] - quantities[:, :1]).max(axis=1)
 
 
-def _under_force(
-    zeros: ComplexArray, own: ComplexArray, poles: ComplexArray, under_white: Callable[[ComplexArray], ComplexArray]
-) -> ComplexArray:
-    """(2, n_lines, n_poles) g of each pole, then of its conjugate, where the force has zeros and poles.
+def _grown(x: ComplexArray, dx: ComplexArray, moves: tuple[tuple[ComplexArray, ComplexArray], ...]) -> ComplexArray:
+    """(n_moves, n_x) change of the logarithm of S at x, from zeros and poles with their moves; x itself is left out."""
+    changes = []
+    for roots, d_roots in moves:
+        apart, back = x[:, np.newaxis] - roots, 1 / x[:, np.newaxis] - roots
+        ahead = (dx[..., np.newaxis] - d_roots[:, np.newaxis]) / np.where(apart == 0, 1.0, apart)
+        behind = (dx[..., np.newaxis] / x[:, np.newaxis] ** 2 + d_roots[:, np.newaxis]) / back
+        changes.append((ahead - behind).sum(axis=-1))
+    return changes[0] - changes[1]
 
-    S / (z - p) is a sum of 1 / (z - p), and of 1 / (z - q) and 1 / (1 / z - q) for every q; each through the window.
+
+def _mixture(
+    zeros: ComplexArray, q: ComplexArray, p: ComplexArray, moves: tuple[ComplexArray, ComplexArray, ComplexArray]
+) -> tuple[ComplexArray, ComplexArray]:
+    """How S / (z - p) of each pole p, and S last, add up from 1, 1 / (z - q), 1 / (1 / z - q) and 1 / (z - p).
 
     Args:
-        zeros: of the force, one of each pair.
-        own: poles of the force, as many with their conjugates: one of each pair, and real ones.
-        poles: (n_poles,) p.
-        under_white: g of poles and of their conjugates for a white force.
+        zeros: (n_q,) of the force, with their conjugates.
+        q: (n_q,) poles of the force, with their conjugates.
+        p: (n_poles,) poles, with their conjugates.
+        moves: (n_moves, n) of the zeros, of q and of p.
+
+    Returns:
+        (1 + 2 n_q + n_poles, n_poles + 1), and (n_moves, ...) by how much it changes with small moves.
     """
-    pairs = own.imag > 0
-    zeros, q = np.r_[zeros, zeros.conj()], np.r_[own, own[pairs].conj()]
-    both = np.r_[poles, poles.conj()]
-    apart = q[:, np.newaxis] - q
+    dz, dq, dp = moves
+    at, d_at = q[:, np.newaxis], dq[..., np.newaxis]
+    apart = at - q
     np.fill_diagonal(apart, 1.0)
-    at, each = q[:, np.newaxis], both[:, np.newaxis]
-    rho = ((at - zeros) * (1 / at - zeros)).prod(axis=1) / (apart.prod(axis=1) * (1 / at - q).prod(axis=1))
-    seen, mirrored = under_white(own)
-    ahead, behind = np.hstack([seen, mirrored[:, pairs]]), np.hstack([mirrored, seen[:, pairs]]).conj()
-    power = ((zeros / q).prod() + (rho / q).sum() + ahead @ rho + behind @ rho).real
+    rho = ((at - zeros) * (1 / at - zeros) / (apart * (1 / at - q))).prod(axis=1)
+    of_rho = _grown(q, dq, ((zeros, dz), (q, dq)))
+    each = p[:, np.newaxis]
     share = ((each - zeros) * (1 / each - zeros) / ((each - q) * (1 / each - q))).prod(axis=1)
-    first, last = rho[:, np.newaxis] / (at - both), rho[:, np.newaxis] / (1 - both * at)
-    values = share * np.hstack(list(under_white(poles))) + ahead @ first + behind @ (last * at) + last.sum(axis=0)
-    return np.stack(np.split(values / power[:, np.newaxis], 2, axis=1))
+    of_share = _grown(p, dp, ((zeros, dz), (q, dq)))
+    far = 1 - at * p
+    ahead, behind, const = rho[:, np.newaxis] / (at - p), rho[:, np.newaxis] * at / far, (zeros / q).prod()
+    of_far = (at * dp[:, np.newaxis] + d_at * p) / far
+    mixed, changes = (
+        np.zeros((*n, 1 + 2 * q.size + p.size, p.size + 1), dtype=np.complex128) for n in ((), (len(dz),))
+    )
+    rows, diagonal = 1 + q.size, (1 + 2 * q.size + np.arange(p.size), np.arange(p.size))
+    mixed[0] = np.r_[(behind / at).sum(axis=0), const + (rho / q).sum()]
+    mixed[1:rows, :-1], mixed[rows : rows + q.size, :-1] = ahead, behind
+    mixed[1 : rows + q.size, -1] = np.tile(rho, 2)
+    mixed[diagonal] = share
+    changes[:, 0, :-1] = (behind / at * (of_rho[..., np.newaxis] + of_far)).sum(axis=1)
+    changes[:, 0, -1] = const * (dz / zeros - dq / q).sum(axis=1) + (rho / q * (of_rho - dq / q)).sum(axis=1)
+    changes[:, 1:rows, :-1] = ahead * (of_rho[..., np.newaxis] - (d_at - dp[:, np.newaxis]) / (at - p))
+    changes[:, rows : rows + q.size, :-1] = behind * (of_rho[..., np.newaxis] + d_at / at + of_far)
+    changes[:, 1 : rows + q.size, -1] = np.tile(rho * of_rho, 2)
+    changes[(slice(None), *diagonal)] = share * of_share
+    return mixed, changes
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -161,48 +184,81 @@ class _Search:
         pairs = model.poles[model.is_pair]
         wide = -2 * np.log(np.maximum(np.abs(pairs), TINY)) >= NARROW * self.line
         self.dips = (np.angle(pairs) > first) & (np.angle(pairs) < last) & ~wide
-        self.near: tuple[ComplexArray, ComplexArray, ComplexArray] | None = None
+        one, pair = np.eye(self.is_pair.size), np.diag(1.0 * self.is_pair)
+        self.parts = np.block([[one, 1j * one[:, self.is_pair]], [pair, -1j * pair[:, self.is_pair]]])
 
-    def _seen(self, poles: ComplexArray) -> ComplexArray:
-        """What the table makes of each pole, by its slope where it is next to one that is known."""
-        if self.near is None:
-            return self.table.values_of(poles)
-        known, g, slopes = self.near
-        nearest = np.abs(poles[:, np.newaxis] - known).argmin(axis=1)
-        # of the conjugate, the logarithm moves by the conjugate
-        moved = np.log(poles / known[nearest])
-        return g[:, :, nearest] + slopes[:, :, nearest] * np.stack([moved, moved.conj()])[:, np.newaxis]
+    def _logarithms(self, steps: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Of poles and loads that dip, from their real parts and imaginary ones of pairs, and the same of the loads."""
+        n, n_pairs, n_dips = self.is_pair.size, int(self.is_pair.sum()), int(self.dips.sum())
+        of_poles, of_loads = steps[..., :n] + 0j, steps[..., n + n_pairs : n + n_pairs + n_dips] + 0j
+        of_poles[..., self.is_pair] += 1j * steps[..., n : n + n_pairs]
+        if steps.shape[-1] > n + n_pairs + n_dips:
+            of_loads += 1j * steps[..., n + n_pairs + n_dips :]
+        return np.asarray(of_poles, dtype=np.complex128), np.asarray(of_loads, dtype=np.complex128)
 
-    def _force(self, at: _Unknowns) -> tuple[ComplexArray, ComplexArray]:
-        """Zeros and poles of the force, 1 / (1 + sum b / (z - p) + the same of the conjugates); one of each pair."""
+    def _force(self, at: _Unknowns, of_poles: ComplexArray, of_loads: ComplexArray) -> tuple[ComplexArray, ...]:
+        """(n_q,) zeros and poles of the force, 1 / (1 + sum b / (z - p) + those of conjugates); how both move."""
         zeros = at.poles[self.is_pair][self.dips]
-        b = 1j * self.line * at.loads[self.dips] * zeros
         n = zeros.size
+        b = 1j * self.line * at.loads[self.dips] * zeros
         A = np.block([[np.diag(zeros.real), np.diag(-zeros.imag)], [np.diag(zeros.imag), np.diag(zeros.real)]])
         A[:, :n] -= 2 * np.r_[b.real, b.imag][:, np.newaxis]
         own = np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
         own = own[own.imag >= 0]
-        own = np.where(np.abs(own) > 1, 1 / own.conj(), own)  # the spectrum is the same
-        return zeros, _stable(own)
+        of_zeros = of_poles[:, self.is_pair][:, self.dips]
+        zeros, b = np.r_[zeros, zeros.conj()], np.r_[b, b.conj()]
+        dz = zeros * np.hstack([of_zeros, of_zeros.conj()])
+        db = b * np.hstack([of_zeros + of_loads, (of_zeros + of_loads).conj()])
+        near = 1 / (own[:, np.newaxis] - zeros)
+        of_own = (db @ near.T + (b * dz) @ near.T**2) / (near**2 @ b) / own  # what keeps the sum at -1
+        outside = np.abs(own) > 1  # the spectrum of the inverse is the same
+        own, of_own = np.where(outside, 1 / own.conj(), own), np.where(outside, -of_own.conj(), of_own)
+        of_own = np.where(np.abs(own) >= LARGEST_SIZE, 1j * of_own.imag, of_own)
+        own, pairs = _stable(own), own.imag > 0
+        q = np.r_[own, own[pairs].conj()]
+        return zeros, q, dz, q * np.hstack([of_own, of_own[:, pairs].conj()])
+
+    def _mixed(self, at: _Unknowns, of_poles: ComplexArray, of_loads: ComplexArray) -> tuple[ComplexArray, ...]:
+        """Poles q of the force; the numbers of `_mixture` for real shapes, imaginary ones of pairs and its power.
+
+        And the changes of the logarithms of q, of q again and of p, and of those numbers.
+        """
+        zeros, q, dz, dq = self._force(at, of_poles, of_loads)
+        p, of_p = np.r_[at.poles, at.poles.conj()], np.hstack([of_poles, of_poles.conj()])
+        mixed, changes = (
+            np.concatenate([one[..., :-1] @ self.parts, one[..., -1:]], axis=-1)
+            for one in _mixture(zeros, q, p, (dz, dq, p * of_p))
+        )
+        return q, mixed, np.hstack([dq / q, dq / q, of_p]), changes
+
+    def _basis(self, g: ComplexArray, q: ComplexArray) -> ComplexArray:
+        """(n_lines, 1 + 2 n_q + 2 n_poles) what a `_mixture` mixes, from g of q above the axis, then of p.
+
+        As well its slopes by the logarithms of q, q again and p from those of g, but for the first column.
+        """
+        n, pairs = np.count_nonzero(q.imag >= 0), q[q.imag >= 0].imag > 0
+        seen, mirrored = g[:, :, :n]
+        ahead, behind = np.hstack([seen, mirrored[:, pairs]]), np.hstack([mirrored, seen[:, pairs]]).conj()
+        return np.hstack([np.ones((len(seen), 1)), ahead, behind, *g[:, :, n:]])
 
     def _columns(self, at: _Unknowns) -> FloatArray:
         """(2 n_lines, n_columns) real parts above imaginary ones."""
         with np.errstate(all="ignore"):  # what is no number is no candidate
-            g, mirrored = _under_force(*self._force(at), at.poles, self._seen)
-            mirrored = mirrored * self.is_pair
-            turned = 1j * (g - mirrored)[:, self.is_pair]
-        both = np.hstack([g + mirrored, turned, np.ones((len(g), 1))])
-        return np.concatenate([both.real, both.imag])
+            q, mixed, _, _ = self._mixed(at, *self._logarithms(np.empty((0, self._n_unknowns(phases=False)))))
+            values = self._basis(self.table.values_of(np.r_[q[q.imag >= 0], at.poles]), q) @ mixed
+            columns = values / values[:, -1:].real
+        columns[:, -1] = 1.0
+        return np.concatenate([columns.real, columns.imag])
+
+    def _n_unknowns(self, *, phases: bool) -> int:
+        return self.is_pair.size + self.dips.size + (2 if phases else 1) * int(self.dips.sum())
 
     def _moved(self, at: _Unknowns, step: FloatArray) -> _Unknowns:
-        """After a step: real parts of the poles' logarithms, imaginary ones of pairs, then the loads' parts."""
-        n, pairs = at.poles.size, np.flatnonzero(self.is_pair)
-        change = step[:n] + 0j
-        change[pairs] += 1j * step[n : n + pairs.size]
-        of_loads = step[n + pairs.size :].reshape(-1, int(self.dips.sum()))
+        of_poles, of_loads = self._logarithms(step)
         loads = at.loads.copy()
-        loads[self.dips] *= np.exp(np.clip(of_loads[0], -1, 1) + (1j * of_loads[1] if len(of_loads) > 1 else 0.0))
-        return _Unknowns(poles=_stable(at.poles * np.exp(np.clip(change.real, -1, 1) + 1j * change.imag)), loads=loads)
+        loads[self.dips] *= np.exp(np.clip(of_loads.real, -1, 1) + 1j * of_loads.imag)
+        poles = at.poles * np.exp(np.clip(of_poles.real, -1, 1) + 1j * of_poles.imag)
+        return _Unknowns(poles=_stable(poles), loads=loads)
 
     def at(self, unknowns: _Unknowns) -> _Point:
         """With the best shapes and feedthrough."""
@@ -227,18 +283,22 @@ class _Search:
 
     def _slopes(self, point: _Point, *, phases: bool) -> FloatArray:
         """(n_outputs * 2 n_lines, n_unknowns) of the model, what shapes and feedthrough can do projected out."""
-        at, n_first = point.unknowns, point.unknowns.poles.size + self.dips.size
-        sizes = STEP * np.ones(n_first + (2 if phases else 1) * int(self.dips.sum()))
-        known = np.r_[at.poles, self._force(at)[1]]
-        self.near = (known, *self.table.basis(known))
-        moved = [
-            (self._columns(self._moved(at, step)) - point.columns) / size
-            for step, size in zip(np.diag(sizes), sizes, strict=True)
-        ]
-        self.near = None
+        at, n_unknowns = point.unknowns, self._n_unknowns(phases=phases)
+        shapes = np.pad(np.array(point.coefficients)[:, :-1].T, ((0, 1), (0, 1)))
+        shapes[-1, -1] = 1.0  # of the power
+        with np.errstate(all="ignore"):
+            q, mixed, of_both, changes = self._mixed(at, *self._logarithms(np.eye(n_unknowns)))
+            basis, turned = (self._basis(g, q) for g in self.table.basis(np.r_[q[q.imag >= 0], at.poles]))
+            mixed = mixed @ shapes
+            changes = np.hstack([changes @ shapes, of_both[..., np.newaxis] * mixed[1:]])
+            values = basis @ mixed
+            moved = np.hstack([basis, turned[:, 1:]]) @ changes.transpose(1, 2, 0).reshape(changes.shape[1], -1)
+            moved = moved.reshape(*values.shape, n_unknowns).transpose(1, 0, 2)
+            power = values[:, -1:].real
+            moved = (moved[:-1] - (values[:, :-1] / power).T[..., np.newaxis] * moved[-1].real) / power
         parts = []
-        for w, span, c in zip(self.weights, point.spans, point.coefficients, strict=True):
-            part = w[:, np.newaxis] * np.stack([one @ c for one in moved], axis=1)
+        for w, span, slopes in zip(self.weights, point.spans, np.hstack([moved.real, moved.imag]), strict=True):
+            part = w[:, np.newaxis] * slopes
             parts.append(part - span @ (span.T @ part))
         return np.nan_to_num(np.concatenate(parts), posinf=0.0, neginf=0.0)
 
