@@ -57,10 +57,10 @@ from modal.preparation.rest import RELEASED, released
 from modal.preparation.steps import Preparation, prepare
 from modal.verdict.constancy import changing_modes, unsteady_drive
 from modal.verdict.excitation import between_lines, beyond_inputs, by_chance, driven_gain, ringing, standing_out
-from modal.verdict.judgement import doubted, judge
+from modal.verdict.judgement import judge
 from modal.verdict.probability import FILTER_EDGE
 from modal.verdict.repeatability import repeat
-from modal.verdict.ring_down import doubt_of_the_rest, no_modes, ring_down_of
+from modal.verdict.ring_down import Told, told_of_ring_down
 from okid.arrays import FloatArray, listener, one_blas_thread, whole_number
 from okid.errors import IdentificationError, InvalidDataError
 from okid.excitation import check_excitation
@@ -390,15 +390,17 @@ def _identified(
         height=standing_out(unjudged, prepared) if kind.kind == "ambient" else None,
         ahead=late_and_early(preparation.input_delay)[1],
     )
-    bent = None
+    ringing_down = Told(modes=modes)
     if kind.kind in ("transient", "decay"):  # a sample that was filled by a linear model tells nothing of another
         seen = [np.where(there, one.outputs, np.nan) for one, there in zip(prepared, preparation.measured, strict=True)]
-        bent = ring_down_of([replace(one, outputs=y) for one, y in zip(prepared, seen, strict=True)], left)
-    if bent is not None:
-        modes = replace(modes, modes=tuple(doubted(mode, bent.doubt) for mode in modes.modes))
-    rest = doubt_of_the_rest(modes, prepared, output_scale=reruns.output_scale) if kind.kind == "decay" else ""
-    if rest:
-        modes = replace(modes, modes=tuple(doubted(mode, rest) for mode in modes.modes))
+        ringing_down = told_of_ring_down(
+            modes,
+            [replace(one, outputs=y) for one, y in zip(prepared, seen, strict=True)],
+            left,
+            output_scale=reruns.output_scale,
+            is_decay=kind.kind == "decay",
+        )
+    modes = ringing_down.modes
     of_inputs = driven_by_inputs(modes, preparation.n_integrators)
     tell("checking residuals", 0.9)
     fitted_to = runs.records
@@ -428,8 +430,7 @@ def _identified(
         choices=(
             kind.choice,
             *((RELEASED,) if kind.kind == "decay" else ()),
-            *(() if bent is None else (bent.choice,)),
-            *((no_modes(rest),) if rest else ()),
+            *ringing_down.choices,
             *preparation.choices,
             *explain_scoring(prepared, _folds(kind)),
             *(() if white is None else explain_filter(white.filter, white.share)),
@@ -443,8 +444,7 @@ def _identified(
         warnings=(
             *kind.warnings,
             *preparation.warnings,
-            *(() if bent is None else (bent.sentence,)),
-            *((f"{rest[0].upper()}{rest[1:]}, so it is no sum of modes.",) if rest else ()),
+            *ringing_down.warnings,
             *unsteady,
             *(
                 changing_modes(modes, asked, left_there, output_scale=reruns.output_scale)

@@ -1,23 +1,16 @@
 """Does what rings down ring as a mode does? One frequency, one damping, whatever the level.
 
 Dry friction lets a motion die away along a line and then stop, drag takes most at the start, and a spring that is not
-linear, or a bearing that creeps before it slides, has another frequency at each level. From one reversal to the next
-such an oscillator is nearly linear: with the size A of what it begins the half cycle with,
+linear, or a bearing that creeps before it slides, has another frequency at each level. No pole makes a line, but enough
+poles side by side follow any curve: a decay under friction is fitted down to its noise by a linear model of some twenty
+states, which are no modes and yet are found again in every part of it. So the oscillator of `modal.verdict.oscillator`
+competes by Schwarz's criterion with linear models of as few numbers: with the one mode that it is where nothing depends
+on its level, with two modes, free in every output, and with a few that are about to be certain. Two modes make any
+beat, and no line. Of poles far from the line that is asked about, other modes, harmonics, hum and drift, all of them
+may have as much as they like.
 
-    x'' + 2 d x' + w^2 (x - c) = 0,   w = w0 (1 + k1 A + k2 A^2),   d = (z + p A) w,   c = f sign(x)
-    x(n+1) - c = -(x(n) - c) exp(-d pi / w_d),   at rest once |x(n)| <= f
-
-with f = F/k of dry friction F on a spring k, exact where k1, k2 and p are zero. A bent spring makes harmonics, in first
-approximation as x^2 and x^3 do, which each output shows in its own size.
-
-No pole makes a line, but enough poles side by side follow any curve: a decay under friction is fitted down to its noise
-by a linear model of some twenty states, which are no modes and yet are found again in every part of it. So this
-oscillator competes by Schwarz's criterion with linear models of as few numbers and as many: with the one mode that it
-is without f, k1, k2 and p, with that mode and harmonics, as a string or a crooked sensor makes them, and with two
-modes, free in every output. Two modes make any beat, and no line.
-
-Where no such oscillator is near either, as for a pendulum that swings far, the poles side by side are still not found
-again one by one. Whoever is found among them is no mode for that: modes that are certain are most of what rings down.
+Where no such oscillator is near either, the poles side by side are still not found again one by one. Whoever is found
+among them is no mode for that: modes that are certain are most of what rings down.
 
 References:
     Den Hartog, Mechanical Vibrations, 4th ed., 1956, section 8.6; Feldman, Hilbert transform in vibration analysis,
@@ -25,24 +18,35 @@ References:
     1978, 461-464, https://doi.org/10.1214/aos/1176344136.
 """
 
-import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
-from modal.modes.mode import Choice, ModalModel
+from modal.modes.mode import Choice, ModalModel, Mode
+from modal.verdict.judgement import FOUND_AGAIN, doubted
+from modal.verdict.oscillator import (
+    CLOSELY,
+    FEWEST,
+    Decay,
+    Fit,
+    at_level,
+    level_after,
+    mode_of,
+    modes_of,
+    oscillator_of,
+    rings,
+    strongest_line,
+    two_modes_of,
+)
 from modal.verdict.probability import FEWEST_TURNS
 from modal.wording.text import hertz, percent
-from okid.arrays import BoolArray, FloatArray
+from okid.arrays import TINY, BoolArray, FloatArray
 from okid.record import Record
 
 RINGS = "ring-down"
 """Name of the choice."""
-FEWEST = 40
-"""Ask nothing of fewer rows."""
 MOST_ROWS = 4000
 """Take every so manieth row of longer records: a few dozen cycles and where they stop show as well in fewer,"""
 A_CYCLE = 8
@@ -53,39 +57,20 @@ EVIDENCE = 10.0
 """Believe in the oscillator where the criterion falls by so much: odds of 150 to 1."""
 LEAST_LEFT = 1e-9
 """Weigh outputs by what the linear model leaves of each, but by no less than this share of it."""
-CLOSELY = 2.0
-"""Ask that the oscillator leaves at most so many times what the linear model leaves, root mean square: where several
-modes ring, neither it nor two modes explain much."""
-FIRST = 3.0
-"""Begin the fit with no more cycles than twice this,"""
-FRICTIONS = (0.0, 0.005, 0.01, 0.02, 0.04, 0.08)
-"""with these shares of friction, the spring's force at the start being 1,"""
-DAMPINGS = (0.0, 0.003, 0.01, 0.03)
-"""these damping ratios besides,"""
-PHASES = 12
-"""and so many phases of a turn."""
-HEAVIEST = 0.3
-"""Take more damping than this for no ringing."""
-MOST_DAMPED = 0.9
-"""Keep an oscillator that is tried below what no longer turns."""
-MOST_BENT = 0.3
-"""Let frequency and damping change by no more than this with the level."""
+BAND = 1.5
+"""Ask about the line alone: poles above it by more than this factor, or below, stand beside everything."""
+FEW = 3
+"""Let so many modes that are about to be certain compete: more are no simpler than what they would refuse."""
 LATER = 0.1
-"""Say what damping and frequency are at this share of the level at the start, or, where friction stops it before, at"""
+"""Say what damping and frequency are at this share of the level at the start, or, where the record ends or friction
+stops it before, at that level and"""
 MOVING = 2.0
-"""so many times the level at which it stops."""
+"""at so many times that one."""
 MANIFEST = 1.1
 """Tell how many times as closely it explains a decay above this."""
 CARRIED = 0.5
 """Ask that modes of the system carry this share of what rings, before one of them is certain."""
-APART = ((0.0, 1.0), (1.0, 0.0), (0.5, 0.5), (1.0, 1.0), (2.0, 2.0), (0.0, 4.0), (4.0, 0.0))
-"""Begin two modes so many widths below and above the one,"""
-HEAVIER = (0.25, 1.0, 4.0)
-"""damped so many times as much as it,"""
-PAIRS = 4
-"""and go on from so many of the nearest to the record."""
-MODE = np.array([True, True, True, False, False, False, False])
-"""Parameters of one linear mode: angular frequency, damping ratio, phase; and not friction, p, k1, k2."""
+REST = "most of what rings down is described only by poles that were not found again"
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -97,7 +82,7 @@ class RingDown:
         frequency: at the start and at that level [Hz].
         damping_ratio: of one mode that would lose as much in a cycle, at the same levels.
         friction: force of dry friction over that of the spring at the start.
-        drag: p, damping ratio for the level at the start.
+        drag: damping ratio that the level at the start adds.
         gain: rms that two modes leave over that which the oscillator leaves.
     """
 
@@ -132,7 +117,7 @@ class RingDown:
     def choice(self) -> Choice:
         """That modes were asked whether they describe it, and do not."""
         reason = f"an oscillator whose damping and frequency depend on its level explains it {self._closer} two modes"
-        return no_modes(reason)
+        return _no_modes(reason)
 
     @property
     def _closer(self) -> str:
@@ -149,80 +134,185 @@ def _lost(friction: float, level: float) -> float:
     return 2.0 * friction / (np.pi * level)
 
 
-def ring_down_of(records: Sequence[Record], left: Sequence[FloatArray]) -> RingDown | None:
-    """The oscillator whose damping or frequency depends on its level, if it explains decays better than modes.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Contest:
+    """How descriptions of the strongest line that rings down compare.
+
+    Attributes:
+        bent: the oscillator, where it is likelier than one mode, two modes and the few that are about to be certain.
+        few: whether so few modes leave about what the linear model leaves.
+        crowd: how many poles are about to be certain where more than a few gain no more than chance gives, else 0.
+        frequency: of the line [Hz].
+    """
+
+    bent: RingDown | None
+    few: bool
+    crowd: int
+    frequency: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Told:
+    """Modes as they stand after the question whether they ring down as modes do, and what to say."""
+
+    modes: ModalModel
+    warnings: tuple[str, ...] = ()
+    choices: tuple[Choice, ...] = ()
+
+
+def told_of_ring_down(
+    modes: ModalModel,
+    records: Sequence[Record],
+    left: Sequence[FloatArray],
+    *,
+    output_scale: FloatArray,
+    is_decay: bool,
+) -> Told:
+    """Whether what rings down rings as modes do, and which of the modes that leaves certain.
 
     Args:
-        records: that ring down once their inputs are zero.
+        modes: judged; of decays each release is a pulse at an input.
+        records: that ring down once their inputs are zero, nan where a sample was not measured.
         left: (n_samples, n_outputs) a record, what the linear model with all its states leaves.
-
-    Example:
-        >>> x, _, _ = motion(np.array([2 * np.pi, 0.002, 0.3, 0.03, 0.0, 0.0, 0.0]), 0.02 * np.arange(400))
-        >>> noise = 1e-3 * np.random.default_rng(1).standard_normal((400, 1))
-        >>> found = ring_down_of([Record([], x[:, np.newaxis] + noise, 0.02)], [noise])
-        >>> round(found.frequency[0], 2), round(found.friction, 3)
-        (1.0, 0.03)
+        output_scale: (n_outputs,) what the outputs are divided by.
+        is_decay: whether nothing but the release ever drove them, so that modes have to carry them.
     """
-    misfits, price, found = np.zeros(4), np.zeros(4), []
-    n_outputs = records[0].n_outputs
-    for record, errors in zip(records, left, strict=True):
-        rows = _free_rows(record)
-        rows = rows[np.isfinite(errors[rows]).all(axis=1)]
-        if len(rows) < FEWEST or not np.ptp(record.outputs[rows], axis=0).all():
-            continue  # too short, or silent
-        seen = record.outputs[rows] - record.outputs[rows].mean(axis=0)
-        size = np.maximum(np.sqrt(np.mean(errors[rows] ** 2, axis=0)), LEAST_LEFT * seen.std(axis=0))
-        seen, linear = seen / size, errors[rows] / size
-        times = (rows - rows[0]).astype(np.float64)
-        own = _fitted(times, seen, np.ones_like(MODE), harmonics=True, linear=linear)
-        if own is None:
-            return None
-        one, crooked = (_fitted(times, seen, MODE, harmonics=harmonics) for harmonics in (False, True))
-        assert one is not None  # nothing was asked of it
-        assert crooked is not None
-        misfits += (own[0], one[0], crooked[0], _two_modes(times, seen, one[1]))
-        numbers = [len(MODE), MODE.sum(), MODE.sum(), 4]
-        price += np.log(len(rows)) * (np.array(numbers) + n_outputs * np.array([4, 2, 4, 5]))
-        found.append((float(np.square(seen).mean()), len(rows), own[1], record.dt))
-    total = misfits + price
-    if not found or not total[0] + EVIDENCE < total[1:].min() or not misfits[0] < misfits[3]:
-        return None
-    _, _, (angular, damping, _, friction, drag, bend, more), dt = max(found, key=lambda one: one[0])
-    n_values = n_outputs * sum(n_rows for _, n_rows, _, _ in found)
-    level = min(1.0, max(LATER, MOVING * friction))
-    frequencies = [angular * (1.0 + bend * at + more * at**2) / (2 * np.pi * dt) for at in (1.0, level)]
-    ratios = [damping + drag * at + _lost(friction, at) for at in (1.0, level)]
-    return RingDown(
-        level=float(level),
-        frequency=(float(frequencies[0]), float(frequencies[1])),
-        damping_ratio=(float(ratios[0]), float(ratios[1])),
-        friction=float(friction),
-        drag=float(drag),
-        gain=float(np.exp((misfits[3] - misfits[0]) / (2 * n_values))),
+    n_steps = max(record.n_samples for record in records)
+    rest = is_decay and bool(modes.system) and carried(modes, n_steps=n_steps, output_scale=output_scale) < CARRIED
+    contest = contest_of(records, left, modes.modes, whole=rest)
+    if contest is None:
+        return Told(modes=modes)
+    bent = contest.bent
+    if bent is not None:
+        return Told(modes=_doubted(modes, bent.doubt), warnings=(bent.sentence,), choices=(bent.choice,))
+    if contest.crowd:
+        what = f"what rings at {hertz(contest.frequency)} Hz"
+        why = f"fewer modes explain {what} as closely as the {contest.crowd} poles that were found there"
+        told = _doubted(modes, why, line=contest.frequency)
+        return Told(modes=told, warnings=(f"{why[0].upper()}{why[1:]}, so none of these is certain.",))
+    if not rest or contest.few:
+        return Told(modes=modes)
+    said = REST[0].upper() + REST[1:]
+    return Told(
+        modes=_doubted(modes, REST),
+        warnings=(f"{said}: it may be no sum of modes, and none of them is certain.",),
+        choices=(_no_modes(REST),),
     )
 
 
-def no_modes(reason: str) -> Choice:
-    """The choice that says of a decay that modes do not describe it."""
+def _no_modes(reason: str) -> Choice:
     return Choice(what=RINGS, value="not as modes do", reason=reason)
 
 
-def doubt_of_the_rest(modes: ModalModel, records: Sequence[Record], *, output_scale: FloatArray) -> str:
-    """Why no mode of decays is certain where other poles carry most of them; empty where there is no reason.
+def _doubted(modes: ModalModel, why: str, *, line: float = np.nan) -> ModalModel:
+    """With a doubt of every mode, or of those near a line [Hz]."""
+    near = [np.isnan(line) or 1 / BAND < mode.frequency / line < BAND for mode in modes.modes]
+    told = (doubted(mode, why) if own else mode for mode, own in zip(modes.modes, near, strict=True))
+    return replace(modes, modes=tuple(told))
+
+
+def contest_of(
+    records: Sequence[Record], left: Sequence[FloatArray], modes: Sequence[Mode] = (), *, whole: bool = True
+) -> Contest | None:
+    """How well an oscillator whose damping or frequency depends on its level, and few modes, explain decays.
 
     Args:
-        modes: of decays, each release a pulse at an input.
-        records: the decays.
-        output_scale: (n_outputs,) what the outputs are divided by.
+        records: as for `told_of_ring_down`.
+        left: likewise.
+        modes: of the linear model, judged.
+        whole: whether to ask few modes where there is no such oscillator.
+
+    Returns:
+        The comparison, None where there is nothing to ask.
+
+    Example:
+        >>> from modal.verdict.oscillator import motion
+        >>> x, _, _ = motion(np.array([2 * np.pi, 0.002, 0.3, 0.03, *np.zeros(6)]), 0.02 * np.arange(400))
+        >>> noise = 1e-3 * np.random.default_rng(1).standard_normal((400, 1))
+        >>> found = contest_of([Record([], x[:, np.newaxis] + noise, 0.02)], [noise])
+        >>> round(found.bent.frequency[0], 2), round(found.bent.friction, 3)
+        (1.0, 0.03)
     """
-    share = carried(modes, n_steps=max(record.n_samples for record in records), output_scale=output_scale)
-    if share >= CARRIED or not any(mode.verdict == "system" for mode in modes.modes):
-        return ""
-    return f"poles that were not found again carry {percent(min(1.0 - share, 1.0))} of what rings down"
+    asked = [_asked(record, errors, modes) for record, errors in zip(records, left, strict=True)]
+    asked_of = [(*one, record.dt) for one, record in zip(asked, records, strict=True) if one is not None]
+    if not asked_of:
+        return None
+    crowd = max(len(certain) for _, _, certain, _ in asked_of)
+    misfits, prices, numbers, found = np.zeros(5), np.zeros(5), np.zeros(5), []
+    for decay, linear, certain, dt in asked_of:
+        own = oscillator_of(decay, linear)
+        if own is None and not whole and crowd <= FEW:
+            return None
+        one = mode_of(decay)
+        two = two_modes_of(decay, one.parameters)
+        few = modes_of(decay, certain, whole=True) if 0 < len(certain) <= FEW else two
+        n_values = decay.there.sum(axis=0)
+        # numbers of the law, and in every output sizes: one of the oscillator's reading, two of each mode
+        n_modes = (1, 2, few.n_free // 2, len(certain))
+        free = np.array([0 if own is None else own.n_free, *(one.n_free, two.n_free, few.n_free, 2 * len(certain))])
+        sizes = np.array([1, *(2 * n for n in n_modes)])
+        rivals = [fit.misfit for fit in (one, two, few)]
+        misfits += [np.inf if own is None else own.misfit, *rivals, decay.misfit(np.nan_to_num(linear))]
+        prices += free * np.log(n_values.sum()) + sizes * np.log(n_values).sum()
+        numbers += free + sizes * len(n_values)
+        found.append((float(np.nanvar(decay.seen)), decay, own, two.misfit, dt))
+    totals, by_chance = misfits + prices, misfits + 2 * numbers  # Schwarz's criterion, and Akaike's
+    _, strongest, own, _, dt = max(found, key=lambda one: one[0])
+    n_values = sum(int(decay.there.sum()) for _, decay, _, _, _ in found)
+    # likelier, and nearer than two modes with their more numbers: a beat is a line to whoever has few
+    likelier = bool(totals[0] + EVIDENCE < totals[1:4].min() and misfits[0] < misfits[2])
+    gain = float(np.exp((misfits[2] - misfits[0]) / (2 * n_values))) if likelier else 1.0
+    return Contest(
+        bent=_ring_down(own, strongest.times, dt, gain) if likelier and own is not None else None,
+        few=bool(misfits[1:4].min() <= misfits[4] + 2 * np.log(CLOSELY) * n_values),
+        crowd=crowd if crowd > FEW and by_chance[1:4].min() < by_chance[4] else 0,
+        frequency=strongest.turns / (2 * np.pi * dt),
+    )
+
+
+def _ring_down(own: Fit, times: FloatArray, dt: float, gain: float) -> RingDown:
+    friction = float(own.parameters[3])
+    level = min(1.0, max(LATER, MOVING * friction, level_after(own.parameters, times)))
+    (first, ratio), (later, other) = (at_level(own.parameters, at) for at in (1.0, level))
+    return RingDown(
+        level=level,
+        frequency=(first / (2 * np.pi * dt), later / (2 * np.pi * dt)),
+        damping_ratio=(ratio + _lost(friction, 1.0), other + _lost(friction, level)),
+        friction=friction,
+        drag=abs(ratio - other),
+        gain=gain,
+    )
+
+
+def _asked(record: Record, errors: FloatArray, modes: Sequence[Mode]) -> tuple[Decay, FloatArray, FloatArray] | None:
+    """What is asked of a record, in outputs weighed by what the linear model leaves; that; and modes near the line.
+
+    These are (n_modes, 2), angular frequency [rad/sample] and damping ratio, of what is about to be certain.
+    """
+    rows = _free_rows(record)
+    if not len(rows):
+        return None
+    there = np.isfinite(record.outputs[rows]) & np.isfinite(errors[rows])
+    told = there.sum(axis=0) >= FEWEST
+    seen = np.where(there, record.outputs[rows], np.nan)[:, told]
+    told[told] = np.nanmax(seen, axis=0) > np.nanmin(seen, axis=0)
+    if not told.any():
+        return None
+    there, seen = there[:, told], np.where(there, record.outputs[rows], np.nan)[:, told]
+    linear = np.where(there, errors[rows][:, told], np.nan)
+    size = np.maximum(np.sqrt(np.nanmean(linear**2, axis=0)), LEAST_LEFT * np.nanstd(seen, axis=0))
+    times = (rows - rows[0]).astype(np.float64)
+    poles = np.array([mode.pole for mode in modes], dtype=np.complex128) * record.dt
+    line = strongest_line(times, seen / size)
+    near = (poles.imag != 0) & (np.abs(poles) < BAND * line) & (BAND * np.abs(poles) > line)
+    certain = near & np.array([mode.verdict == "system" for mode in modes], dtype=np.bool_)
+    few = np.column_stack([np.abs(poles), -poles.real / np.maximum(np.abs(poles), TINY)])[certain]
+    decay = Decay(times=times, seen=seen / size, beside=rings(poles[~near], times))
+    return decay, linear / size, few
 
 
 def carried(modes: ModalModel, *, n_steps: int, output_scale: FloatArray) -> float:
-    """Share of the energy of all that oscillates that the modes of the system carry together, pulse by pulse.
+    """Share of the energy of all that oscillates that modes which were found again carry together, pulse by pulse.
 
     What is doubted for something else, as hum is, and what hardly turns, as drift, counts on neither side. Poles that
     follow a curve which is no sum of modes cancel one another: alone each tells nothing, so what is told is what all
@@ -233,219 +323,34 @@ def carried(modes: ModalModel, *, n_steps: int, output_scale: FloatArray) -> flo
         for mode in modes.modes
         if mode.kind == "oscillatory" and not mode.doubts and mode.frequency * n_steps * modes.dt >= FEWEST_TURNS
     ]
-    if not turning:
+    # the second pole of a resonance is not certain, and was found again
+    others = np.array([mode.verdict != "system" and FOUND_AGAIN not in mode.reason for mode in turning], dtype=np.bool_)
+    if not others.any():
         return 1.0
-    others = np.array([mode.verdict != "system" for mode in turning])
     poles = np.array([complex(min(mode.pole.real, 0.0), mode.pole.imag) for mode in turning])
     sizes = np.array([np.outer(mode.shape / output_scale, mode.participation).ravel() for mode in turning])
     steps = np.arange(0, n_steps, max(1, n_steps // MOST_ROWS))
-    rings = np.exp(poles * modes.dt * steps[:, np.newaxis])
-    whole, rest = (rings @ sizes).real, (rings[:, others] @ sizes[others]).real
-    return 1.0 - float(np.square(rest).sum() / max(np.square(whole).sum(), np.finfo(float).tiny))
+    over_time = np.exp(poles * modes.dt * steps[:, np.newaxis])
+    whole, rest = (over_time @ sizes).real, (over_time[:, others] @ sizes[others]).real
+    return 1.0 - float(np.square(rest).sum() / max(np.square(whole).sum(), TINY))
 
 
 def _free_rows(record: Record) -> NDArray[np.intp]:
-    """Rows in which nothing drives and something moves."""
-    free: BoolArray = np.asarray(np.isfinite(record.outputs).all(axis=1))
+    """Rows in which nothing drives, something moves and some output was measured."""
+    seen: BoolArray = np.asarray(np.isfinite(record.outputs))
+    free: BoolArray = np.asarray(seen.any(axis=1))
     free[: np.flatnonzero((record.inputs != 0.0).any(axis=1)).max(initial=-1) + 1] = False
-    moves = (np.diff(record.outputs, axis=0) != 0.0).any(axis=1)  # a sensor that stands still tells nothing more
-    free[np.flatnonzero(moves).max(initial=0) + 2 :] = False
+    # a sensor that stands still tells nothing more
+    free[max(_last_move(values, own) for values, own in zip(record.outputs.T, seen.T, strict=True)) + 1 :] = False
     rows = np.flatnonzero(free)
-    if len(rows) < FEWEST or not np.ptp(record.outputs[rows], axis=0).any():
+    if len(rows) < FEWEST:
         return rows[:0]
-    turns = _turns(rows.astype(np.float64), record.outputs[rows] - record.outputs[rows].mean(axis=0))
-    rows = rows[: max(FEWEST, int(MOST_CYCLES * 2 * np.pi / turns))]
-    return rows[:: max(1, min(len(rows) // MOST_ROWS, int(2 * np.pi / (A_CYCLE * turns))))]
+    turns = strongest_line(rows.astype(np.float64), record.outputs[rows])
+    rows = rows[: max(FEWEST, int(MOST_CYCLES * 2 * np.pi / turns))] if turns else rows
+    return rows[:: max(1, min(len(rows) // MOST_ROWS, int(2 * np.pi / (A_CYCLE * turns))))] if turns else rows[:0]
 
 
-def motion(parameters: FloatArray, times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Displacement, velocity and acceleration (n,) of the oscillator, from a start of unit size.
-
-    Args:
-        parameters: angular frequency, damping ratio, phase of the start, f, p, k1, k2.
-        times: (n,) rising, in the unit of the frequency's inverse.
-    """
-    base, ratio, phase, friction, drag, bend, more = parameters.tolist()
-
-    def half_cycle(size: float) -> tuple[float, float, float]:
-        angular = base * (1.0 + bend * size + more * size**2)
-        damping = min(ratio + drag * size, MOST_DAMPED)
-        return angular, damping * angular, angular * math.sqrt(1.0 - damping**2)
-
-    t, x, v = float(times[0]), math.cos(phase), -base * (1.0 + bend + more) * math.sin(phase)
-    arcs = []
-    if v:  # until the speed is zero
-        angular, decay, turning = half_cycle(1.0)
-        centre = math.copysign(friction, -v)
-        off = x - centre
-        arcs.append((t, centre, off, v, angular, decay, turning))
-        against = (decay * v + angular**2 * off) / turning
-        turned = math.atan2(abs(v), math.copysign(against, against * v))
-        pulled = off * math.cos(turned) + (v + decay * off) / turning * math.sin(turned)
-        x, t = centre + math.exp(-decay * turned / turning) * pulled, t + turned / turning
-    last = float(times[-1])
-    while t <= last:
-        size = abs(x)
-        if size <= friction:  # the spring no longer moves it
-            arcs.append((t, x, 0.0, 0.0, base, 0.0, base))
-            break
-        angular, decay, turning = half_cycle(size)
-        centre = math.copysign(friction, x)
-        arcs.append((t, centre, x - centre, 0.0, angular, decay, turning))
-        half = math.pi / turning
-        x, t = centre - (x - centre) * math.exp(-decay * half), t + half
-    table = np.array(arcs)
-    begun, around, place, speed, angulars, decays, turns = table[
-        np.searchsorted(table[:, 0], times, side="right") - 1
-    ].T
-    since = times - begun
-    cosine, sine, shrunk = np.cos(turns * since), np.sin(turns * since) / turns, np.exp(-decays * since)
-    away = shrunk * (place * cosine + (speed + decays * place) * sine)
-    velocity = shrunk * (speed * cosine - (decays * speed + angulars**2 * place) * sine)
-    return around + away, velocity, -(angulars**2) * away - 2.0 * decays * velocity
-
-
-def _turns(times: FloatArray, values: FloatArray) -> float:
-    """Angular frequency [rad/sample] of the strongest line, rows that are missing on the way from one to the next.
-
-    Args:
-        times: (n,) in samples, rising.
-        values: (n, n_outputs).
-    """
-    spacing = float(np.median(np.diff(times)))
-    even = np.arange(times[0], times[-1] + 0.5 * spacing, spacing)
-    values = values if len(even) == len(times) else np.column_stack([np.interp(even, times, one) for one in values.T])
-    size = 4 * len(values)
-    window = np.hanning(2 * len(values))[len(values) :, np.newaxis]  # a decay is strongest at its start
-    power = (np.abs(np.fft.rfft(window * values, size, axis=0)) ** 2).sum(axis=1)
-    power[:4] = 0.0  # the level
-    return float(2 * np.pi * np.argmax(power) / (size * spacing))
-
-
-def _left(basis: FloatArray, seen: FloatArray) -> FloatArray:
-    """(n, n_outputs) what the best offset and sizes of these columns leave of each output."""
-    rotated, _ = np.linalg.qr(np.column_stack([np.ones(len(basis)), basis]))
-    return np.asarray(seen - rotated @ (rotated.T @ seen))
-
-
-def _longer(times: FloatArray, turns: float) -> list[int]:
-    """Numbers of rows, rising: over all of a record a frequency that is off by half a cycle leads nowhere."""
-    numbers = [len(times)]
-    while numbers[-1] > FEWEST and times[numbers[-1] - 1] > FIRST * 2 * np.pi / turns:
-        numbers.append(max(FEWEST, numbers[-1] // 2))
-    return numbers[::-1]
-
-
-def _grown(
-    columns: Callable[[FloatArray, FloatArray], FloatArray],
-    start: FloatArray,
-    bounds: tuple[FloatArray, FloatArray],
-    data: tuple[FloatArray, FloatArray],
-    linear: FloatArray | None = None,
-    *,
-    whole: bool = False,
-) -> tuple[float, FloatArray] | None:
-    """Misfit and parameters, the first cycles fitted first and more of the record then, or the whole at once.
-
-    None as soon as more is left than `CLOSELY` times what a linear model leaves in the same rows.
-    """
-    times, seen = data
-    turns = _turns(times, seen)
-    scale = np.where(np.isfinite(bounds[1]), 0.02 * bounds[1], 0.1)
-    for n in [len(times)] if whole else _longer(times, turns):
-        fit = scipy.optimize.least_squares(
-            lambda values, n=n: _left(columns(values, times[:n]), seen[:n]).ravel(),
-            np.clip(start, bounds[0] + 1e-9, bounds[1] - 1e-9),
-            bounds=bounds,
-            x_scale=scale,
-            max_nfev=50,
-        )
-        start = fit.x
-        if linear is not None and 2.0 * fit.cost > CLOSELY**2 * float(np.square(linear[:n]).sum()):
-            return None
-    return _misfit(_left(columns(start, times), seen)), start
-
-
-def _fitted(
-    times: FloatArray,
-    seen: FloatArray,
-    free: BoolArray,
-    *,
-    harmonics: bool,
-    linear: FloatArray | None = None,
-) -> tuple[float, FloatArray] | None:
-    """Misfit and parameters of the oscillator, with harmonics or without; some are free and the others zero.
-
-    None where it leaves far more than `linear`, which a linear model leaves.
-    """
-    turns = _turns(times, seen)
-    first = slice(_longer(times, turns)[0])
-    bent = (MOST_BENT,) * 3
-    low = np.array([0.5 * turns, 0.0, -np.inf, 0.0, 0.0, *(-value for value in bent[1:])])[free]
-    high = np.array([1.5 * turns, HEAVIEST, np.inf, 0.5, *bent])[free]
-
-    def whole(values: FloatArray) -> FloatArray:
-        full = np.zeros(len(free))
-        full[free] = values
-        return full
-
-    starts = [
-        np.array([turns, damping, phase, friction, 0.0, 0.0, 0.0])[free]
-        for friction in (FRICTIONS if free[3] else (0.0,))
-        for damping in DAMPINGS
-        for phase in 2 * np.pi * np.arange(PHASES) / PHASES
-    ]
-    best = None
-    for reading in range(3 if harmonics else 1):  # displacement, velocity or acceleration, which are one for a mode
-
-        def columns(values: FloatArray, rows: FloatArray, at: int = reading) -> FloatArray:
-            x, v, a = motion(whole(values), rows)
-            if not harmonics:
-                return (x, v, a)[at][:, np.newaxis]
-            square = (x**2, 2 * x * v, 2 * v**2 + 2 * x * a)[at]
-            cube = (x**3, 3 * x**2 * v, 6 * x * v**2 + 3 * x**2 * a)[at]
-            return np.column_stack([(x, v, a)[at], square, cube])
-
-        tried = [float((_left(columns(one, times[first]), seen[first]) ** 2).sum()) for one in starts]
-        found = _grown(columns, starts[int(np.argmin(tried))], (low, high), (times, seen), linear)
-        if found is not None and (best is None or found[0] < best[0]):
-            best = (found[0], whole(found[1]))
-    return best
-
-
-def _two_modes(times: FloatArray, seen: FloatArray, mode: FloatArray) -> float:
-    """Misfit of two linear modes, each with any size and phase in every output; `mode` is the one alone."""
-    turns = _turns(times, seen)
-    span = float(times[-1])
-
-    def columns(values: FloatArray, rows: FloatArray) -> FloatArray:
-        parts = []
-        for angular, ratio in values.reshape(2, 2):
-            wave = np.exp((-ratio + 1j * np.sqrt(1.0 - ratio**2)) * angular * rows)
-            parts += [wave.real, wave.imag]
-        return np.column_stack(parts)
-
-    bounds = (np.zeros(4), np.array([np.pi, HEAVIEST, np.pi, HEAVIEST]))
-    one = mode[:2]
-    beside = _turns(times, _left(columns(np.array([*one, *one]), times)[:, :2], seen))
-    decay = max(one[1], 1.0 / (turns * span))
-    seconds = [(beside, decay), (turns * (1.0 + 0.5 * decay), 3.0 * decay), (turns + np.pi / span, decay)]
-    fits = [_grown(columns, np.array([*one, *other]), bounds, (times, seen)) for other in seconds]
-    width = max(decay * turns, np.pi / span)
-    pairs = [
-        np.array([one[0] - below * width, light * decay, one[0] + above * width, heavy * decay])
-        for below, above in APART
-        for light in HEAVIER
-        for heavy in HEAVIER
-    ] + [np.array([*one, beside, heavy * decay]) for heavy in HEAVIER]
-    pairs = [np.clip(pair, bounds[0] + 1e-9, bounds[1] - 1e-9) for pair in pairs]
-    tried = [float((_left(columns(pair, times), seen) ** 2).sum()) for pair in pairs]
-    # what is close together shows in the whole record only: its first cycles are those of one mode
-    fits += [_grown(columns, pairs[i], bounds, (times, seen), whole=True) for i in np.argsort(tried)[:PAIRS]]
-    return min(fit[0] for fit in fits if fit is not None)
-
-
-def _misfit(left: FloatArray) -> float:
-    """-2 ln L of white noise of each output's own size, but for a constant."""
-    power = np.maximum(np.mean(left**2, axis=0), np.finfo(float).tiny)
-    return float(len(left) * np.log(power).sum())
+def _last_move(values: FloatArray, there: BoolArray) -> int:
+    """Last row of an output that differs from the one before it."""
+    rows = np.flatnonzero(there)
+    return int(rows[1:][np.diff(values[rows]) != 0.0].max(initial=0))
