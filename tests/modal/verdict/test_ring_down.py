@@ -73,7 +73,7 @@ def told(result):
 
 def line(said):
     """Frequency that a sentence names first [Hz]."""
-    return line(said)
+    return float(said.split("rings at ")[1].split()[0])
 
 
 @pytest.mark.parametrize(("noise", "step"), [(1e-3, 0.0), (1e-4, 0.0), (1e-3, 2e-3)])
