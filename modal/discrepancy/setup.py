@@ -33,7 +33,7 @@ from modal.simulation.drive import drive_of, steps_per_sample
 from modal.simulation.plant import Plant, plant_matrices
 from modal.simulation.scheme import Budget
 from modal.simulation.tolerances import AT_FLOOR, FOLLOWED, NEAR_FLOOR, ROUNDING
-from modal.structure.given import Given, placed_assembly
+from modal.structure.given import Given, placed_assembly, refuse_missing_inputs
 from modal.wording.text import quantity, times_floor_text
 from okid.arrays import TINY, FloatArray
 from okid.errors import InsufficientDataError, InvalidDataError, NumericalError
@@ -85,11 +85,12 @@ def check_records(
             raise InvalidDataError(
                 f"an output of record {record.name or 'without a name'} is missing throughout; leave the channel out"
             )
-        unknown = int(np.isnan(record.inputs).any(axis=1).sum())
-        if unknown:
+        refuse_missing_inputs(record)
+        still = np.nanmax(record.outputs, axis=0) == np.nanmin(record.outputs, axis=0)
+        if still.all() and not np.ptp(record.inputs, axis=0).any():
             raise InvalidDataError(
-                f"the inputs of record {record.name or 'without a name'} are missing (NaN) at {unknown} of "
-                f"{record.n_samples} samples, so no model can be simulated along it; cut the record there, or fill them"
+                f"nothing moves in record {record.name or 'without a name'}: all its channels stand still through its "
+                f"{record.n_samples} samples; leave it out"
             )
     for held in helds:
         if any(held is record or same_samples(held, record) for record in fits):

@@ -48,6 +48,8 @@ A_CYCLE = 60
 """Rows of a cycle to keep: more tell little and take longer."""
 SMALLEST = 0.1
 """Look at no swings below this share of the first: there a bearing creeps, or nothing moves."""
+FEWEST_ROWS = 64
+"""Ask for so many in each quarter of a swing: a diagnosis takes no fewer."""
 FEWEST_PEAKS = 5
 """Of a swing, to tell one law of its peaks from another."""
 
@@ -86,7 +88,7 @@ def swing_record(path: Path, *, angle: str) -> Record:
 def turns(record: Record) -> tuple[FloatArray, FloatArray]:
     """(n,) times [s] and angles of the turning points, each by a parabola through the rows about the largest angle.
 
-    Across missing rows it runs straight.
+    The largest is the first: before it the arm was held or lifted. Across missing rows it runs straight.
     """
     seen, dt, there = record.outputs[:, 0], record.dt, np.isfinite(record.outputs[:, 0])
     seen = np.interp(np.arange(len(seen)), np.flatnonzero(there), seen[there])
@@ -102,7 +104,8 @@ def turns(record: Record) -> tuple[FloatArray, FloatArray]:
         at = float(np.clip(-b / (2 * a), -reach, reach)) if a else 0.0
         times.append((top + at) * dt)
         angles.append(float((a * at + b) * at + c))
-    return np.array(times), np.array(angles)
+    first = int(np.argmax(np.abs(angles))) if angles else 0
+    return np.array(times[first:]), np.array(angles[first:])
 
 
 def read_peaks(angles: FloatArray) -> Peaks:
@@ -119,13 +122,15 @@ def read_peaks(angles: FloatArray) -> Peaks:
         >>> round(found.friction, 6), found.left[2] < 1e-7 < found.left[0]
         (0.002, True)
     """
-    large = np.flatnonzero(np.abs(angles) > SMALLEST * np.abs(angles[:2]).max(initial=0.0))
+    large = np.flatnonzero(np.abs(angles) > SMALLEST * np.abs(angles).max(initial=0.0))
     angles = angles[: large.max(initial=-1) + 1]
     if len(angles) < FEWEST_PEAKS:
         raise InsufficientDataError(
             f"the swing turns {len(angles)} times above a tenth of its size, and {FEWEST_PEAKS} are needed to tell "
             "friction from damping; give a file that begins at a larger angle."
         )
+    largest = float(np.abs(angles).max())
+    angles = angles / largest
     ways, first = np.sign(angles), float(np.abs(angles[0]))
 
     def left(some: FloatArray, chosen: list[int]) -> FloatArray:
@@ -139,7 +144,7 @@ def read_peaks(angles: FloatArray) -> Peaks:
             size = max(0.0, (size - friction) * kept - friction)
         return np.array(course) - angles
 
-    start = np.array([first, 0.0, 0.25 * (first - abs(angles[-1])) / len(angles), 0.99])
+    start = np.array([first, 0.0, 0.25 * max(0.0, first - abs(angles[-1])) / len(angles), 0.99])
     low, high = np.array([0.0, -first, 0.0, 0.1]), np.array([np.inf, first, first, 1.0])
     scale = np.array([first, 0.1 * first, 0.1 * first, 0.1])
     fits = []
@@ -152,8 +157,8 @@ def read_peaks(angles: FloatArray) -> Peaks:
     loss = -np.log(kept) / np.pi
     return Peaks(
         n_peaks=len(angles),
-        left=(fits[0][0], fits[1][0], fits[2][0]),
-        friction=float(friction),
+        left=(fits[0][0] * largest, fits[1][0] * largest, fits[2][0] * largest),
+        friction=float(friction * largest),
         damping_ratio=float(loss / np.hypot(1.0, loss)),
     )
 
@@ -175,7 +180,7 @@ def small_swings(record: Record, *, angular: float, damping_ratio: float) -> Str
 
 def quarters(record: Record, period: float) -> tuple[list[Record], list[Record]]:
     """What is fitted, the first and third quarter, and what is held out, some sixty rows a cycle."""
-    step = max(1, int(period / (A_CYCLE * record.dt)))
+    step = max(1, min(int(period / (A_CYCLE * record.dt)), record.n_samples // (4 * FEWEST_ROWS)))
     thin = replace(record, inputs=record.inputs[::step], outputs=record.outputs[::step], dt=record.dt * step)
     cuts = [round(k * thin.n_samples / 4) for k in range(5)]
     parts = [thin.samples(begin, end) for begin, end in pairwise(cuts)]
@@ -186,14 +191,20 @@ def study(records: Sequence[Record]) -> tuple[list[Peaks], Diagnosis]:
     """The peaks of each swing, and what the textbook's pendulum lacks.
 
     Raises:
-        InsufficientDataError: a swing with fewer than `FEWEST_PEAKS`.
+        InsufficientDataError: a swing with fewer than `FEWEST_PEAKS`, or too few rows.
     """
     read, periods, swings = [], [], []
     for record in records:
         times, angles = turns(record)
         read.append(read_peaks(angles))
         periods.append(2.0 * float(np.median(np.diff(times[: read[-1].n_peaks]))))
-        swings.append(record.samples(0, int(times[read[-1].n_peaks - 1] / record.dt) + 1))
+        begin, end = (int(times[k] / record.dt) for k in (0, read[-1].n_peaks - 1))
+        if end - begin < 4 * FEWEST_ROWS:
+            raise InsufficientDataError(
+                f"the swing has {end - begin} rows from its first turn down to a tenth of its size, and "
+                f"{4 * FEWEST_ROWS} are needed, {FEWEST_ROWS} in each quarter; sample it faster."
+            )
+        swings.append(record.samples(begin, end + 1))
     period = float(np.median(periods))
     fits, helds = zip(*(quarters(swing, period) for swing in swings), strict=True)
     ratio = max(float(np.median([one.damping_ratio for one in read])), 1e-3)

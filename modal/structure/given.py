@@ -279,6 +279,7 @@ def simulate(
             f"the model has {plant.n_inputs} inputs and the record has {record.n_inputs}; pass the same ones in the "
             f"same order ({', '.join(plant.input_names)})"
         )
+    refuse_missing_inputs(record)
     blank = replace(
         record,
         outputs=np.zeros((record.n_samples, plant.n_outputs)),
@@ -296,6 +297,21 @@ def simulate(
             "check the signs of its effects"
         )
     return replace(blank, outputs=found.outputs)
+
+
+def refuse_missing_inputs(record: Record) -> None:
+    """Whether a model can be simulated along a record.
+
+    Raises:
+        InvalidDataError: If an input is missing somewhere.
+    """
+    missing = np.flatnonzero(np.isnan(record.inputs).any(axis=1))
+    if len(missing):
+        raise InvalidDataError(
+            f"the inputs of record {record.name or 'without a name'} are missing (NaN) at {len(missing)} of "
+            f"{record.n_samples} samples, first at number {missing[0] + 1}, so no model can be simulated along it; cut "
+            "the record there, or fill them"
+        )
 
 
 def _record(given: Record | npt.ArrayLike, dt: float | None, input_hold: InputHold) -> Record:

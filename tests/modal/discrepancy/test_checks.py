@@ -75,6 +75,15 @@ def test_inputs_must_be_whole(held_out):
     refuses(words, lambda: check_records([first], gap) if held_out else check_records([first, gap], third))
 
 
+def test_a_record_in_which_nothing_moves_is_refused():
+    """It was said to grow without bound."""
+    first, second, third = records()
+    still = replace(first, inputs=np.zeros_like(first.inputs), outputs=np.ones_like(first.outputs), name="run 1")
+    refuses("nothing moves in record run 1", lambda: check_records([still, second], third))
+    dead = replace(first, outputs=np.ones_like(first.outputs))  # of sensors, which is a finding
+    assert check_records([dead, second], third)[0][0] is dead
+
+
 def test_records_must_be_alike():
     first, second, third = records()
     narrow = Record(first.inputs[:, :1], first.outputs, first.dt)

@@ -119,6 +119,18 @@ def test_an_empty_cell_of_the_speed_is_left_out(files):
     holed[0].outputs[100, 0] = np.nan
     found, before = first_order(holed), first_order(whole)
     assert found.gain == pytest.approx(before.gain, rel=0.01)
+    assert found.gain == pytest.approx(GAIN, rel=0.1)
+
+
+def test_an_empty_cell_of_the_voltage_is_one_sentence(files, tmp_path, capsys):
+    rows = files[0].read_text().splitlines()
+    rows[41] = ",".join("" if k == 1 else cell for k, cell in enumerate(rows[41].split(",")))
+    holed = tmp_path / "holed.csv"
+    holed.write_text("\n".join(rows) + "\n")
+    assert measured_motor.main([str(holed), "--inputs", "u", "--outputs", "speed", "--counts"]) == 2
+    told = capsys.readouterr().out.strip()
+    assert "missing" in told
+    assert "\n" not in told
 
 
 @pytest.mark.parametrize(

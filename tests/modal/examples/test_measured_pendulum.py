@@ -66,12 +66,33 @@ def test_turning_points_lie_half_a_period_apart(path):
 
 
 def test_the_whole_motion_names_friction_and_its_size(path, capsys):
-    assert measured_pendulum.main([str(path), "--outputs", "angle"]) in (0, 1)
+    assert measured_pendulum.main([str(path), "--outputs", "angle"]) == 0
     told = capsys.readouterr().out
+    assert "Coulomb friction" in told.splitlines()[0]
     (line,) = [line for line in told.splitlines() if line.startswith("friction")]
     assert float(line.split()[1]) == pytest.approx(FRICTION, rel=0.05)
     assert "damping alone leaves" in told
     assert "for no torque was measured" in told
+
+
+def test_an_arm_that_is_held_before_it_is_let_go_swings_from_there(path, tmp_path, capsys):
+    """It hangs, is lifted, held for two seconds and let go: the hold was fitted as if it swung."""
+    rows = [float(row.split(",")[1]) for row in path.read_text().splitlines()[1:]]
+    lifted = [rows[-1]] * 200 + list(np.linspace(rows[-1], rows[0], 300)) + [rows[0]] * 1000 + rows
+    held = tmp_path / "held.csv"
+    held.write_text("time [s],angle [rad]\n" + "".join(f"{k * DT:.4f},{y:.6f}\n" for k, y in enumerate(lifted)))
+    assert measured_pendulum.main([str(held), "--outputs", "angle"]) == 0
+    told = capsys.readouterr().out
+    (line,) = [line for line in told.splitlines() if line.startswith("friction")]
+    assert float(line.split()[1]) == pytest.approx(FRICTION, rel=0.05)
+
+
+@pytest.mark.parametrize("growth", [0.0, 0.02])
+@pytest.mark.parametrize("unit", [1.0, 1e-180, 1e180])
+def test_peaks_that_do_not_fall_lose_nothing(growth, unit):
+    read = read_peaks(0.05 * unit * np.exp(growth * np.arange(12.0)) * (-1.0) ** np.arange(12))
+    assert read.friction <= 1e-6 * unit
+    assert read.damping_ratio < 1e-5
 
 
 def test_empty_cells_leave_what_the_peaks_say(path, tmp_path):
@@ -100,6 +121,10 @@ def test_a_file_without_a_swing_is_one_sentence(tmp_path, capsys):
     ramp = tmp_path / "ramp.csv"
     ramp.write_text("time [s],angle [rad]\n" + "".join(f"{k / 100},{k}\n" for k in range(200)))
     assert "turns 0 times" in refused(ramp)
+    coarse = tmp_path / "coarse.csv"
+    seen = 0.1 * np.exp(-0.02 * np.arange(90)) * np.cos(0.6 * np.arange(90))
+    coarse.write_text("time [s],angle [rad]\n" + "".join(f"{k / 100},{y}\n" for k, y in enumerate(seen)))
+    assert "sample it faster" in refused(coarse)
     other = tmp_path / "other.csv"
     other.write_text("time [s],speed [rad/s]\n" + "".join(f"{k / 100},{k % 7}\n" for k in range(200)))
     assert "angle" in refused(other)

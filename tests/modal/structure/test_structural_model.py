@@ -276,5 +276,7 @@ def test_what_does_not_match_is_refused_in_a_sentence():
         simulate(long_chain(), PUSH, dt=DT, initial_state=[0.0, 0.0, 0.0])
     with pytest.raises(InvalidDataError):
         simulate(3, PUSH, dt=DT)
+    with pytest.raises(InvalidDataError, match=r"missing \(NaN\) at 1 of 200 samples, first at number 41"):
+        simulate(long_chain(), np.where(np.arange(200)[:, np.newaxis] == 40, np.nan, np.ones((200, 2))), dt=DT)
     with pytest.raises(NumericalError, match="grows without bound"):
         simulate(long_chain().with_effect("cubic_stiffness", "element_0", k3=-1e6), PUSH, dt=DT)
