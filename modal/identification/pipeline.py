@@ -57,6 +57,7 @@ from modal.preparation.rest import RELEASED, released
 from modal.preparation.steps import Preparation, prepare
 from modal.verdict.constancy import changing_modes, unsteady_drive
 from modal.verdict.excitation import between_lines, beyond_inputs, by_chance, driven_gain, ringing, standing_out
+from modal.verdict.filled import told_where_measured
 from modal.verdict.judgement import judge
 from modal.verdict.probability import FILTER_EDGE
 from modal.verdict.repeatability import repeat
@@ -390,6 +391,7 @@ def _identified(
         height=standing_out(unjudged, prepared) if kind.kind == "ambient" else None,
         ahead=late_and_early(preparation.input_delay)[1],
     )
+    modes = told_where_measured(modes, prepared, left, preparation.measured)
     ringing_down = Told(modes=modes)
     if kind.kind in ("transient", "decay"):  # a sample that was filled by a linear model tells nothing of another
         seen = [np.where(there, one.outputs, np.nan) for one, there in zip(prepared, preparation.measured, strict=True)]

@@ -5,6 +5,10 @@ at order 200, and outputs sampled at different rates leave none. The regression 
 only the outputs that are there. It gives a first model; its free run fills the gaps, what it leaves at the neighbouring
 measured samples is interpolated by its own correlation (the smoothed estimate, which a Kalman smoother would give too),
 an observer is fitted to the filled record, and so on while the free run comes nearer to the measured samples.
+
+An output at every twentieth row cannot tell a frequency from its images, and a decay is its own pulse response: the
+regression then leaves zeros between the rows. Outputs that are measured far more often know the poles; the others show
+the states that these have.
 """
 
 from collections.abc import Sequence
@@ -13,9 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modal.estimation.cross_validation import GAIN, scaled_record
-from modal.estimation.free_run import free_runs
+from modal.estimation.free_run import ModalForm, ModalRecursion, free_runs, initial_state
 from modal.modes.mode import Choice
-from modal.preparation.quick_model import best_model, observer_markov
+from modal.preparation.quick_model import QuickModel, best_model, observer_markov
 from okid.arrays import BoolArray, FloatArray
 from okid.markov import MarkovParameters
 from okid.record import Record
@@ -25,6 +29,8 @@ from okid.scaling import channel_scaling
 LEAST_ROWS = 0.75
 """Share of the rows that gaps must leave at that order; below it they are filled."""
 FIRST_RIDGE = 1e-3
+FAR_MORE = 2.0
+"""Let outputs that are measured so many times as often as another tell its poles."""
 NEIGHBOURS = 6
 """Measured samples on either side that a missing one is interpolated from."""
 NUGGET = 0.02
@@ -100,7 +106,8 @@ def _whole_rows(records: Sequence[Record]) -> tuple[float, int]:
 def _filled(records: Sequence[Record]) -> tuple[tuple[Record, ...], str]:
     """Scaled records with their gaps filled, and how in words."""
     markov = _first_markov(records) if records[0].n_inputs else None
-    model = None if markov is None else best_model(markov, records)
+    tried = (None if markov is None else best_model(markov, records), _by_the_fuller(records))
+    model = min((one for one in tried if one is not None), key=lambda one: one.error, default=None)
     if model is None:
         zeros = tuple(np.zeros_like(record.outputs) for record in records)
         return _bridged(records, zeros), "interpolated by the correlation of each output"
@@ -116,6 +123,52 @@ def _filled(records: Sequence[Record]) -> tuple[tuple[Record, ...], str]:
             break
     words = f"filled by the free run of a model of the measured samples and what it left beside them, {rounds} rounds"
     return filled, words
+
+
+def _by_the_fuller(records: Sequence[Record]) -> QuickModel | None:
+    """A model of the outputs that are measured far more often than others, and what the others show of its states.
+
+    None where all are measured about as often, or no inputs were measured.
+    """
+    counts = sum(np.isfinite(record.outputs).sum(axis=0) for record in records)
+    fuller = FAR_MORE * counts > counts.max()
+    if fuller.all() or not records[0].n_inputs:
+        return None
+    own = tuple(record.select(outputs=np.flatnonzero(fuller).tolist()) for record in records)
+    whole = own if _whole_rows(own)[0] >= LEAST_ROWS else _filled(own)[0]
+    markov = observer_markov(whole)
+    model = None if markov is None else best_model(markov, own)
+    if model is None:
+        return None
+    form, n_outputs = model.form, records[0].n_outputs
+    columns = [_answers(form, record) for record in own]
+    shapes = np.zeros((n_outputs, form.poles.size), dtype=np.complex128)
+    feedthrough = np.zeros((n_outputs, form.feedthrough.shape[1]))
+    shapes[fuller], feedthrough[fuller] = form.shapes, form.feedthrough
+    for i in np.flatnonzero(~fuller):
+        there = [np.isfinite(record.outputs[:, i]) for record in records]
+        rows = [np.column_stack([one[rows], np.ones(rows.sum())]) for one, rows in zip(columns, there, strict=True)]
+        wanted = [record.outputs[rows, i] for record, rows in zip(records, there, strict=True)]
+        found = np.linalg.lstsq(np.vstack(rows), np.concatenate(wanted), rcond=FIRST_RIDGE)[0]
+        n = form.poles.size
+        shapes[i], feedthrough[i] = found[:n] - 1j * found[n : 2 * n], found[2 * n : -1]
+    form = replace(form, shapes=shapes, feedthrough=feedthrough)
+    left = [record.outputs - run for record, run in zip(records, free_runs(form, records), strict=True)]
+    error = float(np.sqrt(np.nanmean(np.square(np.vstack(left)))))
+    return QuickModel(form=form, error=error, forgets=model.forgets)
+
+
+def _answers(form: ModalForm, record: Record) -> FloatArray:
+    """(n_samples, 2 n_poles + n_inputs) what an output may show: states times their weights, both parts, and inputs."""
+    n = form.poles.size
+    both = np.vstack([np.eye(n), -1j * np.eye(n)])
+    seen = replace(form, shapes=both, feedthrough=np.zeros((2 * n, record.n_inputs)))
+    recursion = ModalRecursion.of_model(seen)
+    states = recursion.from_rest(record.inputs)
+    n_alive = recursion.n_alive(record.n_samples)
+    start = initial_state(form, record, np.isfinite(record.outputs))
+    states[:n_alive] += recursion.free_response(start, n_alive)
+    return np.column_stack([states, record.inputs])
 
 
 def _first_markov(records: Sequence[Record]) -> MarkovParameters | None:

@@ -107,7 +107,9 @@ def driven_gain(
         rest = _white(errors, filters, times)
         every = np.ones(record.n_samples, dtype=np.bool_)
         for i in driven:
-            part = _response(inputs @ modes[i].participation, complex(poles[i]), weight[i] * modes[i].shape, every)
+            part = answer_from_rest(
+                inputs @ modes[i].participation, complex(poles[i]), weight[i] * modes[i].shape, every
+            )
             free = _free_motion(complex(poles[i]), times) if by_itself else np.empty((len(rest), 0))
             for total, values in ((with_it, rest), (without, rest + _white(part, filters, times))):
                 total[i] += float((values**2).sum() - ((free.T @ values) ** 2).sum())
@@ -133,7 +135,7 @@ def _free_motion(pole: complex, times: NDArray[np.intp]) -> FloatArray:
     return kept
 
 
-def _response(drive: ComplexArray, pole: complex, shape: ComplexArray, kept: BoolArray) -> FloatArray:
+def answer_from_rest(drive: ComplexArray, pole: complex, shape: ComplexArray, kept: BoolArray) -> FloatArray:
     """(n_kept, n_outputs) of x(k+1) = pole x(k) + drive(k), y(k) = Re(shape x(k)), from rest."""
     recursion = PoleRecursion.of(np.array([pole]), drive.size)
     states, _ = recursion.run(drive[np.newaxis], np.zeros(1, dtype=np.complex128))
@@ -203,7 +205,10 @@ def between_lines(
             if mode.kind == "unstable" or not near.any():
                 continue
             weight = 2.0 if is_pair[i] else 1.0
-            part = _response(inputs @ mode.participation, complex(poles[i]), weight * mode.shape, every) / output_scale
+            part = (
+                answer_from_rest(inputs @ mode.participation, complex(poles[i]), weight * mode.shape, every)
+                / output_scale
+            )
             with_it[i] += np.square(np.abs(rest[near])).sum()
             without[i] += np.square(np.abs((rest + np.fft.rfft(window * part, axis=0))[near])).sum()
             # a frequency holds two numbers, and the window makes neighbours alike two by two
@@ -253,7 +258,9 @@ def beyond_inputs(
             if moving[i]:
                 continue
             near = slice(first, last)
-            part = _response(inputs @ mode.participation, complex(poles[i]), 2.0 * mode.shape, every) / output_scale
+            part = (
+                answer_from_rest(inputs @ mode.participation, complex(poles[i]), 2.0 * mode.shape, every) / output_scale
+            )
             with_it[i] += np.square(np.abs(rest[near])).sum()
             without[i] += np.square(np.abs((rest + np.fft.rfft(window * part, axis=0))[near])).sum()
             n_values[i] += int(last - first) * output_scale.size
@@ -523,14 +530,14 @@ def by_chance(model: ModalModel, records: Sequence[Record], left: Sequence[Float
         for record, errors in zip(records, left, strict=True):
             inputs = np.nan_to_num(record.inputs)
             kept = complete_rows(errors)
-            own = _response(inputs @ mode.participation, complex(poles[i]), 2.0 * mode.shape, kept)
+            own = answer_from_rest(inputs @ mode.participation, complex(poles[i]), 2.0 * mode.shape, kept)
             free = _free_motion(complex(poles[i]), np.flatnonzero(kept))
             values = errors[kept] + own
             values = (values - free @ (free.T @ values)) / np.maximum(errors[kept].std(axis=0), np.finfo(float).tiny)
             for k in range(N_SHIFTS + 1):
                 moved = np.roll(inputs, k * record.n_samples // (N_SHIFTS + 1), axis=0)
                 answers = [
-                    _response(column.astype(np.complex128), complex(poles[i]), np.array([turn]), kept)
+                    answer_from_rest(column.astype(np.complex128), complex(poles[i]), np.array([turn]), kept)
                     for column in moved.T
                     for turn in (1.0 + 0j, 1j)
                 ]

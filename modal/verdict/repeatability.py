@@ -286,5 +286,8 @@ def _model(gram: LagGram, ridge: float, scaling: ChannelScaling, dt: float, orde
         markov = recover_markov(observer, n_lags=markov_lags(observer.n_inputs, observer.n_outputs))
     except NumericalError:
         return None
+    with np.errstate(over="ignore", invalid="ignore"):  # what grows without bound says nothing
+        if not np.isfinite(np.square(markov.system).sum()):
+            return None
     found = decompose(markov, max_order=min(order, *hankel_limits(markov)))
     return realise_from(found, min(order, found.rank, found.max_order))

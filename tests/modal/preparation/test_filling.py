@@ -3,6 +3,7 @@ import pytest
 from signals import random_inputs, with_noise
 from systems import initial_state, modal_system, simulate
 
+import modal
 from modal.preparation.filling import fill_where_needed
 from okid.record import Record
 
@@ -86,3 +87,38 @@ def test_without_inputs_neighbours_are_all_there_is():
     filling = fill_where_needed([gaps])
     assert np.abs((filling.records[0].outputs - wave)[missing]).max() < 0.05
     assert "interpolated" in filling.choices[0].reason
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_output_at_every_twentieth_row_shows_the_states_of_the_others(seed):
+    """It had the poles of its images, 40 of them, and a shape of a tenth."""
+    rng = np.random.default_rng(seed)
+    frequency, times = 1.3 + 0.4 * seed, 0.02 * np.arange(1400)
+    wave = np.exp(-0.004 * 2 * np.pi * frequency * times) * np.cos(2 * np.pi * frequency * times)
+    outputs = wave[:, np.newaxis] * [1.0, 0.6] + 2e-3 * rng.standard_normal((1400, 2))
+    outputs[np.arange(1400) % 20 != 0, 1] = np.nan
+    result = modal.identify(Record([], outputs, 0.02), kind="decay")
+    near = [mode for mode in result.modes if abs(mode.frequency / frequency - 1) < 1e-3 and mode.verdict != "noise"]
+    assert len(near) == 1
+    assert abs(near[0].shape[1] / near[0].shape[0]) == pytest.approx(0.6, rel=0.02)
+    assert all(mode in near for mode in result.modes.system)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_images_of_rows_that_outputs_do_not_share_are_not_certain(seed):
+    """At every second row by turns a frequency and its image at 25 Hz less look alike: half of each was certain."""
+    frequency, times = 1.3 + 0.8 * seed, 0.02 * np.arange(700)
+    wave = np.exp(-0.01 * 2 * np.pi * frequency * times) * np.cos(2 * np.pi * frequency * times)
+    outputs = wave[:, np.newaxis] * [1.0, 0.6] + 2e-3 * np.random.default_rng(seed).standard_normal((700, 2))
+    outputs[gone("by turns", 700)] = np.nan
+    result = modal.identify(Record([], outputs, 0.02), kind="decay")
+    assert not [mode for mode in result.modes.system if mode.frequency > 12.5]
+    assert not [mode for mode in result.modes.system if abs(mode.frequency / frequency - 1) > 0.01]
+
+
+def test_a_slow_sensor_beside_fast_ones_is_filled():
+    clean, record = clean_and_noisy(6)
+    missing = np.hstack([np.zeros((N, 1), dtype=bool), np.arange(N)[:, np.newaxis] % 17 != 0])
+    (filled,) = fill_where_needed([with_gaps(record, missing)]).records
+    error = (filled.outputs - clean)[missing]
+    assert np.sqrt(np.mean(np.square(error))) < 0.03 * clean.std()

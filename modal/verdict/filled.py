@@ -1,0 +1,93 @@
+"""Does a mode show in the samples that were measured? What was filled is no evidence.
+
+Missing outputs are filled by a model of the others (`modal.preparation.filling`), and hold no noise there. The few
+samples of a slow sensor then stand up beside nothing: poles that die out within two or three of them are found again in
+every half, and poles whose images fall together there share what nobody measured among them. Halves and deviations
+count filled samples as if they told the same. So each mode is asked once more in what was measured alone, by Schwarz's
+criterion: without it, all others free to take its part, the squared error must grow by more than its numbers cost.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from modal.modes.modal_form import discrete_poles
+from modal.modes.mode import ModalModel
+from modal.verdict.excitation import answer_from_rest
+from modal.verdict.judgement import doubted
+from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
+from okid.record import Record
+
+ALIKE = 1e-9
+"""Take columns for one where their products cannot be told apart below this share."""
+WHY = "most of what shows it was filled, and in the samples that were measured it may be chance"
+
+
+def told_where_measured(
+    modes: ModalModel, records: Sequence[Record], left: Sequence[FloatArray], measured: Sequence[BoolArray]
+) -> ModalModel:
+    """The modes, doubtful where what was measured does not tell them; as they are without inputs.
+
+    Args:
+        modes: judged.
+        records: that they were identified from; the pulse of a release is an input.
+        left: (n_samples, n_outputs) a record, what the model's free run leaves.
+        measured: the same shape, False where a sample was filled.
+    """
+    if not records[0].n_inputs or all(there.all() for there in measured) or not modes.system:
+        return modes
+    there = [own & np.isfinite(errors) for own, errors in zip(measured, left, strict=True)]
+    gained, n_values = _gained(modes, records, left, there), sum(int(own.sum()) for own in there)
+    told = []
+    for mode, gain in zip(modes.modes, gained.tolist(), strict=True):
+        numbers = (mode.shape.size + mode.participation.size) * (2 if mode.pole.imag else 1)
+        told.append(mode if gain > numbers * np.log(n_values) else doubted(mode, WHY))
+    return replace(modes, modes=tuple(told))
+
+
+def _gained(
+    modes: ModalModel, records: Sequence[Record], left: Sequence[FloatArray], there: Sequence[BoolArray]
+) -> FloatArray:
+    """(n_modes,) by how much each lowers the squared error in variances, the shapes of all free in every output."""
+    poles, is_pair = discrete_poles(modes.modes, modes.dt)
+    owner = np.concatenate([np.arange(poles.size), np.flatnonzero(is_pair)])
+    n, n_outputs = owner.size, records[0].n_outputs
+    own, cross = np.zeros((n_outputs, n, n)), np.zeros((n_outputs, n))
+    power, counts = np.zeros(n_outputs), np.zeros(n_outputs)
+    for record, errors, rows in zip(records, left, there, strict=True):
+        columns = _answers(modes, poles, is_pair, record)
+        shown = np.array([mode.shape for mode in modes.modes]).T
+        sizes = np.hstack([shown.real, shown.imag[:, is_pair]])
+        for o in range(n_outputs):
+            part = columns[rows[:, o]]
+            wanted = part @ sizes[o] + errors[rows[:, o], o]
+            own[o] += part.T @ part
+            cross[o] += part.T @ wanted
+            power[o] += wanted @ wanted
+            counts[o] += wanted.size
+    gained = np.zeros(poles.size)
+    for o in range(n_outputs):
+        least = _explained(own[o], cross[o], np.ones(n, dtype=np.bool_))
+        variance = max((power[o] - least) / max(1.0, counts[o] - n), TINY)
+        gained += [(least - _explained(own[o], cross[o], owner != i)) / variance for i in range(poles.size)]
+    return gained
+
+
+def _answers(modes: ModalModel, poles: ComplexArray, is_pair: BoolArray, record: Record) -> FloatArray:
+    """(n_samples, n_columns) what the real parts of the modes' shapes multiply, then the imaginary ones of pairs."""
+    every, inputs = np.ones(record.n_samples, dtype=np.bool_), np.nan_to_num(record.inputs)
+    parts = np.array([1.0, 1j], dtype=np.complex128)
+    answers = [
+        answer_from_rest(inputs @ mode.participation, complex(pole), (2.0 if pair else 1.0) * parts, every)
+        for mode, pole, pair in zip(modes.modes, poles, is_pair, strict=True)
+    ]
+    both = np.stack(answers, axis=2)
+    return np.hstack([both[:, 0], both[:, 1][:, is_pair]])
+
+
+def _explained(own: FloatArray, cross: FloatArray, free: BoolArray) -> float:
+    """Squared size of what some columns explain, from products of all of them and with what is wanted."""
+    size = np.sqrt(np.maximum(np.diag(own)[free], TINY))
+    scaled, wanted = own[np.ix_(free, free)] / np.outer(size, size), cross[free] / size
+    return float(wanted @ np.linalg.pinv(scaled, rcond=ALIKE, hermitian=True) @ wanted)
