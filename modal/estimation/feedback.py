@@ -194,7 +194,8 @@ class _Told:
             cls._from(longest.truncated(own), scaling)
             for own in (min(times * least, longest.order) for times in LONGER)
         ]
-        return min(told, key=lambda one: one.criterion)
+        told = [one for one in told if one.n_rows > 2 * len(one.weights)]  # where samples are missing few are whole
+        return min(told, key=lambda one: one.criterion, default=None)
 
     @classmethod
     def _from(cls, gram: LagGram, scaling: ChannelScaling) -> "_Told":

@@ -35,7 +35,8 @@ def told_where_measured(
         left: (n_samples, n_outputs) a record, what the model's free run leaves.
         measured: the same shape, False where a sample was filled.
     """
-    if not records[0].n_inputs or all(there.all() for there in measured) or not modes.system:
+    filled = any((np.isfinite(record.outputs) & ~own).any() for record, own in zip(records, measured, strict=True))
+    if not filled or not records[0].n_inputs or not modes.system:
         return modes
     there = [own & np.isfinite(errors) for own, errors in zip(measured, left, strict=True)]
     gained, n_values = _gained(modes, records, left, there), sum(int(own.sum()) for own in there)

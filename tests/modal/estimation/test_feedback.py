@@ -30,6 +30,14 @@ def test_loops_are_found_all_that_are_strong_and_most_of_the_others():
     assert found.mean() > 0.8
 
 
+@pytest.mark.filterwarnings("error")
+def test_without_a_whole_row_nothing_is_asked():
+    """Of twenty outputs with a tenth of the samples missing."""
+    rng = np.random.default_rng(1)
+    outputs = np.where(rng.random((3000, 20)) < 0.1, np.nan, rng.standard_normal((3000, 20)))
+    assert np.isnan(feedback_p_value([Record(rng.standard_normal((3000, 2)), outputs, 0.01)]))
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_force_that_fills_a_part_of_the_band_is_no_loop(seed):
     """Its past foretells it as far as the noise of its sensor allows, which the outputs do not have."""
