@@ -3,8 +3,9 @@
 Missing outputs are filled by a model of the others (`modal.preparation.filling`), and hold no noise there. The few
 samples of a slow sensor then stand up beside nothing: poles that die out within two or three of them are found again in
 every half, and poles whose images fall together there share what nobody measured among them. Halves and deviations
-count filled samples as if they told the same. So each mode is asked once more in what was measured alone, by Schwarz's
-criterion: without it, all others free to take its part, the squared error must grow by more than its numbers cost.
+count filled samples as if they told the same. So a mode whose answer was mostly filled is asked once more in what was
+measured alone, by Schwarz's criterion: without it, all others free to take its part, the squared error must grow by
+more than its numbers cost; in each output by more than a shape does, or that output is none of its.
 """
 
 from collections.abc import Sequence
@@ -19,6 +20,8 @@ from modal.verdict.judgement import doubted
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 
+MOSTLY = 0.45
+"""Ask where more than this share of what a mode does was filled, each output in units of its noise."""
 ALIKE = 1e-9
 """Take columns for one where their products cannot be told apart below this share."""
 WHY = "most of what shows it was filled, and in the samples that were measured it may be chance"
@@ -39,27 +42,35 @@ def told_where_measured(
     if not filled or not records[0].n_inputs or not modes.system:
         return modes
     there = [own & np.isfinite(errors) for own, errors in zip(measured, left, strict=True)]
-    gained, n_values = _gained(modes, records, left, there), sum(int(own.sum()) for own in there)
+    gained, share, counts = _gained(modes, records, left, there)
     told = []
-    for mode, gain in zip(modes.modes, gained.tolist(), strict=True):
-        numbers = (mode.shape.size + mode.participation.size) * (2 if mode.pole.imag else 1)
-        told.append(mode if gain > numbers * np.log(n_values) else doubted(mode, WHY))
+    for i, mode in enumerate(modes.modes):
+        of_one = 2 if mode.pole.imag else 1
+        beyond = np.maximum(gained[i] - of_one * np.log(np.maximum(counts, 1)), 0.0).sum()
+        shows = beyond > of_one * mode.participation.size * np.log(counts.sum())
+        told.append(mode if shows or share[i] <= MOSTLY else doubted(mode, WHY))
     return replace(modes, modes=tuple(told))
 
 
 def _gained(
     modes: ModalModel, records: Sequence[Record], left: Sequence[FloatArray], there: Sequence[BoolArray]
-) -> FloatArray:
-    """(n_modes,) by how much each lowers the squared error in variances, the shapes of all free in every output."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What each mode does in each output.
+
+    Returns:
+        (n_modes, n_outputs) by how much it lowers the squared error of what was measured, in variances, the shapes of
+        all free; (n_modes,) share of its answer that was filled; (n_outputs,) how many samples were measured.
+    """
     poles, is_pair = discrete_poles(modes.modes, modes.dt)
     owner = np.concatenate([np.arange(poles.size), np.flatnonzero(is_pair)])
     n, n_outputs = owner.size, records[0].n_outputs
-    own, cross = np.zeros((n_outputs, n, n)), np.zeros((n_outputs, n))
+    own, cross, whole = np.zeros((n_outputs, n, n)), np.zeros((n_outputs, n)), np.zeros((n, n))
     power, counts = np.zeros(n_outputs), np.zeros(n_outputs)
+    shown = np.array([mode.shape for mode in modes.modes]).T
+    sizes = np.hstack([shown.real, shown.imag[:, is_pair]])
     for record, errors, rows in zip(records, left, there, strict=True):
         columns = _answers(modes, poles, is_pair, record)
-        shown = np.array([mode.shape for mode in modes.modes]).T
-        sizes = np.hstack([shown.real, shown.imag[:, is_pair]])
+        whole += columns.T @ columns
         for o in range(n_outputs):
             part = columns[rows[:, o]]
             wanted = part @ sizes[o] + errors[rows[:, o], o]
@@ -67,12 +78,17 @@ def _gained(
             cross[o] += part.T @ wanted
             power[o] += wanted @ wanted
             counts[o] += wanted.size
-    gained = np.zeros(poles.size)
+    gained, every, seen = (np.zeros((poles.size, n_outputs)) for _ in range(3))
     for o in range(n_outputs):
         least = _explained(own[o], cross[o], np.ones(n, dtype=np.bool_))
         variance = max((power[o] - least) / max(1.0, counts[o] - n), TINY)
-        gained += [(least - _explained(own[o], cross[o], owner != i)) / variance for i in range(poles.size)]
-    return gained
+        for i in range(poles.size):
+            mine = owner == i
+            gained[i, o] = (least - _explained(own[o], cross[o], ~mine)) / variance
+            shape = sizes[o, mine]
+            every[i, o] = shape @ whole[np.ix_(mine, mine)] @ shape / variance
+            seen[i, o] = shape @ own[o][np.ix_(mine, mine)] @ shape / variance
+    return gained, 1.0 - seen.sum(axis=1) / np.maximum(every.sum(axis=1), TINY), counts
 
 
 def _answers(modes: ModalModel, poles: ComplexArray, is_pair: BoolArray, record: Record) -> FloatArray:
@@ -81,6 +97,8 @@ def _answers(modes: ModalModel, poles: ComplexArray, is_pair: BoolArray, record:
     parts = np.array([1.0, 1j], dtype=np.complex128)
     answers = [
         answer_from_rest(inputs @ mode.participation, complex(pole), (2.0 if pair else 1.0) * parts, every)
+        if mode.kind != "unstable"
+        else np.zeros((record.n_samples, 2))
         for mode, pole, pair in zip(modes.modes, poles, is_pair, strict=True)
     ]
     both = np.stack(answers, axis=2)

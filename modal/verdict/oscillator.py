@@ -120,7 +120,8 @@ def strongest_line(times: FloatArray, values: FloatArray) -> float:
     spacing = int(np.gcd.reduce(np.diff(times).astype(np.intp)))
     at = ((times - times[0]) / spacing).astype(np.intp)
     even = np.zeros((at[-1] + 1, values.shape[1]))
-    even[at] = np.nan_to_num(values - np.nanmean(values, axis=0))
+    there = np.isfinite(values)
+    even[at] = np.where(there, values, 0.0) - there * (np.nansum(values, axis=0) / np.maximum(1, there.sum(axis=0)))
     size = 4 * len(even)
     window = np.hanning(2 * len(even))[len(even) :, np.newaxis]  # a decay is strongest at its start
     power = (np.abs(np.fft.rfft(window * even, size, axis=0)) ** 2).sum(axis=1)

@@ -256,6 +256,8 @@ def contest_of(
         prices += free * np.log(n_values.sum()) + sizes * np.log(n_values).sum()
         numbers += free + sizes * len(n_values)
         found.append((float(np.nanvar(decay.seen)), decay, own, two.misfit, dt))
+    # the end of what was cut may tell close modes apart
+    cut = any(decay.turns * decay.times[-1] > 2 * np.pi * (MOST_CYCLES - 1) for _, decay, _, _, _ in found)
     totals, by_chance = misfits + prices, misfits + 2 * numbers  # Schwarz's criterion, and Akaike's
     _, strongest, own, _, dt = max(found, key=lambda one: one[0])
     n_values = sum(int(decay.there.sum()) for _, decay, _, _, _ in found)
@@ -265,7 +267,7 @@ def contest_of(
     return Contest(
         bent=_ring_down(own, strongest.times, dt, gain) if likelier and own is not None else None,
         few=bool(misfits[1:4].min() <= misfits[4] + 2 * np.log(CLOSELY) * n_values),
-        crowd=crowd if crowd > FEW and by_chance[1:4].min() < by_chance[4] else 0,
+        crowd=crowd if crowd > FEW and by_chance[1:4].min() < by_chance[4] and not cut else 0,
         frequency=strongest.turns / (2 * np.pi * dt),
     )
 

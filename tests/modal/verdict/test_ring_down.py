@@ -292,13 +292,16 @@ def test_friction_is_told_beside_what_else_is_there(beside):
 
 def test_poles_that_gain_no_more_than_chance_are_too_many():
     """Two modes, noise, and six poles near them that are about to be certain."""
-    x = rings(800, (6.4, 0.01, 1.0, 0.3), (7.1, 0.02, 0.6, 2.0), dt=DT)
-    left = 2e-3 * np.random.default_rng(4).standard_normal((800, 1))
+    x = rings(600, (6.4, 0.01, 1.0, 0.3), (7.1, 0.02, 0.6, 2.0), dt=DT)
+    left = 2e-3 * np.random.default_rng(4).standard_normal((600, 1))
     crowded = modes_of(*((frequency, 1.0, "system") for frequency in (5.8, 6.3, 6.5, 7.0, 7.2, 7.6))).modes
     contest = contest_of([okid.Record([], x[:, np.newaxis] + left, DT)], [left], crowded)
     assert contest.crowd == 6
     assert contest.few
-    third = x + rings(800, (8.2, 0.015, 0.4, 1.0), dt=DT)
+    long = rings(3000, (6.4, 0.0002, 1.0, 0.3), (7.1, 0.0002, 0.6, 2.0), dt=DT)  # 400 cycles, of which 100 are asked
+    noise = 2e-3 * np.random.default_rng(5).standard_normal((3000, 1))
+    assert contest_of([okid.Record([], long[:, np.newaxis] + noise, DT)], [noise], crowded).crowd == 0
+    third = x + rings(600, (8.2, 0.015, 0.4, 1.0), dt=DT)
     contest = contest_of([okid.Record([], third[:, np.newaxis] + left, DT)], [left], crowded)
     assert contest.crowd == 0
     assert not contest.few

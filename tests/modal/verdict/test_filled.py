@@ -1,0 +1,63 @@
+"""What was filled takes no true mode's certainty away, and gives none."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+import modal
+from okid.record import Record
+
+DT, N = 0.01, 4000
+
+
+def answers(force, *modes):
+    """(N, n_outputs) sum of modes (frequency [Hz], damping ratio, shape), each of deviation 1 before its shape."""
+    total = 0.0
+    for frequency, ratio, shape in modes:
+        pole = np.exp((-ratio + 1j * np.sqrt(1 - ratio**2)) * 2 * np.pi * frequency * DT)
+        moved = lfilter([0, 1], [1, -2 * pole.real, abs(pole) ** 2], force)
+        total = total + np.outer(moved / moved.std(), shape)
+    return total
+
+
+def system_near(result, frequency):
+    return [mode for mode in result.modes.system if abs(mode.frequency / frequency - 1) < 0.005]
+
+
+@pytest.mark.parametrize("missing", [0.02, 0.35])
+def test_a_mode_that_is_weaker_than_slow_noise_stays_certain(missing):
+    """It stands high above the noise in its own band; a variance over all of it called it chance."""
+    rng = np.random.default_rng(3)
+    force = rng.standard_normal(N)
+    outputs = answers(force, (3.0, 0.01, [1.0, 0.7]), (17.0, 0.01, [0.05, -0.05]))
+    slow = lfilter([1.0], [1.0, -0.99], rng.standard_normal((N, 2)), axis=0)
+    outputs += 0.3 * slow / slow.std(axis=0)
+    outputs[rng.random(outputs.shape) < missing] = np.nan
+    result = modal.identify(Record(force, outputs, DT))
+    assert system_near(result, 3.0)
+    assert system_near(result, 17.0)
+
+
+def test_a_mode_that_one_of_twenty_outputs_shows_stays_certain():
+    rng = np.random.default_rng(4)
+    force = rng.standard_normal(N)
+    local = np.where(np.arange(20) == 3, 0.1, 0.0)
+    outputs = answers(force, (5.0, 0.01, rng.standard_normal(20)), (19.0, 0.01, local))
+    outputs += 0.03 * rng.standard_normal(outputs.shape)
+    outputs[rng.random(outputs.shape) < 0.02] = np.nan
+    result = modal.identify(Record(force, outputs, DT))
+    assert system_near(result, 5.0)
+    assert system_near(result, 19.0)
+
+
+def test_images_of_a_slow_sensor_are_not_certain_and_the_modes_are():
+    rng = np.random.default_rng(7)
+    force = rng.standard_normal(N)
+    outputs = answers(force, (4.6, 0.01, [1.0, 0.6, -0.4]), (10.6, 0.01, [0.5, -1.0, 0.8]))
+    outputs += 0.03 * rng.standard_normal(outputs.shape)
+    outputs[np.arange(N) % 10 != 0, 1:] = np.nan
+    result = modal.identify(Record(force, outputs, DT))
+    assert len(result.modes.system) == 2
+    assert system_near(result, 4.6)
+    (mode,) = system_near(result, 10.6)
+    assert (mode.shape / mode.shape[0]).real == pytest.approx([1.0, -2.0, 1.6], rel=0.1)
