@@ -16,11 +16,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from era.realisation import Realisation
 from modal.estimation.cross_validation import GAIN, scaled_record
+from modal.estimation.fits import model_runs
 from modal.estimation.free_run import ModalForm, ModalRecursion, free_runs, initial_state
 from modal.modes.mode import Choice
 from modal.preparation.quick_model import QuickModel, best_model, observer_markov
-from okid.arrays import BoolArray, FloatArray
+from okid.arrays import TINY, BoolArray, FloatArray
 from okid.markov import MarkovParameters
 from okid.record import Record
 from okid.rows import usable_rows
@@ -92,6 +94,47 @@ def fill_where_needed(records: Sequence[Record]) -> Filling:
         "record can be repeated, sample all channels together."
     )
     return Filling(records=filled, measured=measured, choices=(choice,), warnings=(warning,))
+
+
+def refilled(
+    records: Sequence[Record], measured: Sequence[BoolArray], model: Realisation
+) -> tuple[tuple[Record, ...], float]:
+    """The records with filled samples as a model fitted to them makes them, with what it leaves of those beside.
+
+    Filled and fitted in turns, the model becomes the likeliest of the samples that were measured: these are the two
+    halves of an EM step (Dempster, Laird, Rubin, J. Royal Statistical Society B 39, 1977, 1-38).
+
+    Args:
+        records: that the model was fitted to.
+        measured: (n_samples, n_outputs) a record, False where a sample was filled, or is missing still.
+        model: without inputs nothing is filled again.
+
+    Returns:
+        The records, and by how much the filled samples move, root mean square, over what the model leaves of the
+        measured ones, the most of all outputs; 0 where nothing was filled.
+    """
+    filled = [np.isfinite(record.outputs) & ~there for record, there in zip(records, measured, strict=True)]
+    if not records[0].n_inputs or not any(own.any() for own in filled):
+        return tuple(records), 0.0
+    left = model_runs(replace(model, K=None), records).left
+    runs = [record.outputs - errors for record, errors in zip(records, left, strict=True)]
+    told = [there & np.isfinite(record.outputs) for record, there in zip(records, measured, strict=True)]
+    gaps = [replace(one, outputs=np.where(own, one.outputs, np.nan)) for one, own in zip(records, told, strict=True)]
+    bridged = _bridged(gaps, runs)
+    again = tuple(
+        replace(record, outputs=np.where(own, new.outputs, record.outputs))
+        for record, own, new in zip(records, filled, bridged, strict=True)
+    )
+    change = [new.outputs - old.outputs for new, old in zip(again, records, strict=True)]
+    moved, noise = _mean_square(change, filled), _mean_square(left, told)
+    return again, float(np.sqrt(np.max(moved / np.maximum(noise, TINY))))
+
+
+def _mean_square(values: Sequence[FloatArray], rows: Sequence[BoolArray]) -> FloatArray:
+    """(n_outputs,) over the samples that count."""
+    sums = [np.square(np.where(own, one, 0.0)).sum(axis=0) for own, one in zip(rows, values, strict=True)]
+    counts = [own.sum(axis=0) for own in rows]
+    return np.asarray(np.sum(sums, axis=0) / np.maximum(1, np.sum(counts, axis=0)), dtype=np.float64)
 
 
 def _whole_rows(records: Sequence[Record]) -> tuple[float, int]:
