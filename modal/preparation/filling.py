@@ -31,6 +31,8 @@ from okid.scaling import channel_scaling
 LEAST_ROWS = 0.75
 """Share of the rows that gaps must leave at that order; below it they are filled."""
 FIRST_RIDGE = 1e-3
+MOST_FILLED = 0.5
+"""Fill again where no more was filled than this share: each turn leaves about so much of what is wrong."""
 FAR_MORE = 2.0
 """Let outputs that are measured so many times as often as another tell its poles."""
 NEIGHBOURS = 6
@@ -111,10 +113,11 @@ def refilled(
 
     Returns:
         The records, and by how much the filled samples move, root mean square, over what the model leaves of the
-        measured ones, the most of all outputs; 0 where nothing was filled.
+        measured ones, the most of all outputs; 0 where nothing was filled, or more than half.
     """
     filled = [np.isfinite(record.outputs) & ~there for record, there in zip(records, measured, strict=True)]
-    if not records[0].n_inputs or not any(own.any() for own in filled):
+    share = sum(int(own.sum()) for own in filled) / sum(record.outputs.size for record in records)
+    if not records[0].n_inputs or not 0.0 < share <= MOST_FILLED:
         return tuple(records), 0.0
     left = model_runs(replace(model, K=None), records).left
     runs = [record.outputs - errors for record, errors in zip(records, left, strict=True)]
