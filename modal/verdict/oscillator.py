@@ -12,7 +12,6 @@ with what stands beside; the rest is found over the first cycles, then over more
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import scipy
@@ -52,7 +51,7 @@ STEPS = tuple(np.array([True] * n + [False] * (10 - n)) for n in (4, 7, 10))
 """and of an oscillator: f, then p, k1 and k2 as well, which few cycles do not tell apart, then q, k3 and k4."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Decay:
     """What rings down, and what every description of it may have besides.
 
@@ -60,38 +59,42 @@ class Decay:
         times: (n,) in samples, rising.
         seen: (n, n_outputs), nan where not measured.
         beside: (n, n_columns) what has any size in every output.
+        there: (n, n_outputs) what was measured.
+        turns: angular frequency [rad/sample] of the strongest line.
+        outputs: that were measured in the same rows: these rows, those outputs, a basis of an offset and of what is
+            beside, and what this leaves.
     """
 
     times: FloatArray
     seen: FloatArray
     beside: FloatArray
+    there: BoolArray
+    turns: float
+    outputs: tuple[tuple[BoolArray, BoolArray, FloatArray, FloatArray], ...]
+
+    @classmethod
+    def of(cls, times: FloatArray, seen: FloatArray, beside: FloatArray) -> "Decay":
+        """From the first three."""
+        there: BoolArray = np.asarray(np.isfinite(seen))
+        groups = []
+        columns = np.column_stack([np.ones(len(times)), beside])
+        for pattern in np.unique(there.T, axis=0):
+            own = np.asarray((pattern == there.T).all(axis=1))
+            left, sizes, _ = np.linalg.svd(columns[pattern], full_matrices=False)
+            basis = left[:, sizes > np.finfo(float).eps * len(columns) * sizes.max(initial=0.0)]
+            values = seen[pattern][:, own]
+            groups.append((pattern, own, basis, values - basis @ (basis.T @ values)))
+        turns = strongest_line(times, seen)
+        return cls(times=times, seen=seen, beside=beside, there=there, turns=turns, outputs=tuple(groups))
 
     def first(self, n: int) -> "Decay":
         """The first rows."""
-        return Decay(times=self.times[:n], seen=self.seen[:n], beside=self.beside[:n])
-
-    @cached_property
-    def there(self) -> BoolArray:
-        """(n, n_outputs) what was measured."""
-        return np.asarray(np.isfinite(self.seen))
-
-    @cached_property
-    def _outputs(self) -> list[tuple[BoolArray, BoolArray, FloatArray, FloatArray]]:
-        """Outputs that were measured in the same rows: these rows, those outputs, basis of what is beside, and rest."""
-        groups = []
-        columns = np.column_stack([np.ones(len(self.times)), self.beside])
-        for pattern in np.unique(self.there.T, axis=0):
-            own = np.asarray((pattern == self.there.T).all(axis=1))
-            left, sizes, _ = np.linalg.svd(columns[pattern], full_matrices=False)
-            basis = left[:, sizes > np.finfo(float).eps * len(columns) * sizes.max(initial=0.0)]
-            values = self.seen[pattern][:, own]
-            groups.append((pattern, own, basis, values - basis @ (basis.T @ values)))
-        return groups
+        return Decay.of(self.times[:n], self.seen[:n], self.beside[:n])
 
     def left(self, columns: FloatArray) -> FloatArray:
         """(n, n_outputs) what the best offset and sizes of these columns leave of each output, 0 where not measured."""
         rest = np.zeros(self.seen.shape)
-        for rows, own, basis, values in self._outputs:
+        for rows, own, basis, values in self.outputs:
             part = columns[rows]
             part = part - basis @ (basis.T @ part)
             rotated, _ = np.linalg.qr(part)
@@ -103,11 +106,6 @@ class Decay:
         count = self.there.sum(axis=0)
         power = np.maximum(np.square(left).sum(axis=0) / np.maximum(1, count), np.finfo(float).tiny)
         return float((count * np.log(power)).sum())
-
-    @cached_property
-    def turns(self) -> float:
-        """Angular frequency [rad/sample] of the strongest line."""
-        return strongest_line(self.times, self.seen)
 
 
 def strongest_line(times: FloatArray, values: FloatArray) -> float:

@@ -309,7 +309,7 @@ def _asked(record: Record, errors: FloatArray, modes: Sequence[Mode]) -> tuple[D
     near = (poles.imag != 0) & (np.abs(poles) < BAND * line) & (BAND * np.abs(poles) > line)
     certain = near & np.array([mode.verdict == "system" for mode in modes], dtype=np.bool_)
     few = np.column_stack([np.abs(poles), -poles.real / np.maximum(np.abs(poles), TINY)])[certain]
-    decay = Decay(times=times, seen=seen / size, beside=rings(poles[~near], times))
+    decay = Decay.of(times, seen / size, rings(poles[~near], times))
     return decay, linear / size, few
 
 
