@@ -62,7 +62,7 @@ from modal.verdict.filled import told_where_measured
 from modal.verdict.judgement import judge
 from modal.verdict.probability import FILTER_EDGE
 from modal.verdict.repeatability import repeat
-from modal.verdict.ring_down import Told, told_of_ring_down
+from modal.verdict.ring_down import RingDownAnswer, told_of_ring_down
 from okid.arrays import FloatArray, listener, one_blas_thread, whole_number
 from okid.errors import IdentificationError, InvalidDataError
 from okid.excitation import check_excitation
@@ -269,7 +269,7 @@ def _with_delays(
         # a few blows are no stationary input, of which the test could be asked
         acting = early_inputs(several, preparation.input_delay, preparation.records[0].dt)
         suspected = kind_found.kind == "driven" and feedback_p_value(acting) < FALSE_ALARMS
-        for _ in range(1 + MOST_REFILLS):
+        for turn in range(1 + MOST_REFILLS):
             taken, final = fit_all_rows(
                 preparation.records,
                 found,
@@ -280,7 +280,7 @@ def _with_delays(
                 progress=lambda done: tell("fitting all rows", FITTING + (FITTED - FITTING) * done),
             )
             again, moved = refilled(preparation.records, preparation.measured, final.realisation)
-            if moved < SETTLED:
+            if moved < SETTLED or turn == MOST_REFILLS:  # the model is that of these records
                 break
             preparation = replace(preparation, records=again)
         asked = refinement == "auto" and kind_found.kind == "driven" and not suspected
@@ -401,7 +401,7 @@ def _identified(
         ahead=late_and_early(preparation.input_delay)[1],
     )
     modes = told_where_measured(modes, prepared, left, preparation.measured)
-    ringing_down = Told(modes=modes)
+    ringing_down = RingDownAnswer(modes=modes)
     if kind.kind in ("transient", "decay"):  # a sample that was filled by a linear model tells nothing of another
         seen = [np.where(there, one.outputs, np.nan) for one, there in zip(prepared, preparation.measured, strict=True)]
         ringing_down = told_of_ring_down(

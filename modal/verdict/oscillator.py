@@ -225,7 +225,7 @@ def _least(
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Fit:
+class Contender:
     """Misfit, parameters, and how many of them are free."""
 
     misfit: float
@@ -237,20 +237,20 @@ class Fit:
         return self.misfit + self.n_free * float(np.log(decay.there.sum()))
 
 
-def oscillator_of(decay: Decay, linear: FloatArray) -> Fit | None:
+def oscillator_of(decay: Decay, linear: FloatArray) -> Contender | None:
     """The oscillator; None where it leaves far more than `linear` (n, n_outputs), which a linear model leaves."""
     fits = [_fitted(decay, reading, STEPS, linear) for reading in range(3)]
     return min((fit for fit in fits if fit is not None), key=lambda fit: fit.criterion(decay), default=None)
 
 
-def mode_of(decay: Decay) -> Fit:
+def mode_of(decay: Decay) -> Contender:
     """The one mode that the oscillator is where nothing depends on its level."""
     found = _fitted(decay, 0, (MODE,), None)
     assert found is not None  # nothing was asked of it
     return found
 
 
-def _fitted(decay: Decay, reading: int, steps: tuple[BoolArray, ...], linear: FloatArray | None) -> Fit | None:
+def _fitted(decay: Decay, reading: int, steps: tuple[BoolArray, ...], linear: FloatArray | None) -> Contender | None:
     """Of displacement, velocity or acceleration, which are one for a mode; with more numbers where few are too few.
 
     None as soon as more is left than `CLOSELY` times what a linear model leaves in the same rows.
@@ -271,7 +271,7 @@ def _fitted(decay: Decay, reading: int, steps: tuple[BoolArray, ...], linear: Fl
     ]
     tried = [float(np.square(parts[0].left(columns(one, parts[0].times))).sum()) for one in starts]
     values = starts[int(np.argmin(tried))]
-    found: list[Fit] = []
+    found: list[Contender] = []
     for part in parts:
         most = np.inf if linear is None else CLOSELY**2 * float(np.square(linear[: len(part.times)][part.there]).sum())
         for number, free in enumerate(steps):
@@ -281,13 +281,13 @@ def _fitted(decay: Decay, reading: int, steps: tuple[BoolArray, ...], linear: Fl
                 break
             if cost <= most:
                 misfit = decay.misfit(decay.left(columns(values, decay.times)))
-                found.append(Fit(misfit=misfit, parameters=values, n_free=int(free.sum())))
+                found.append(Contender(misfit=misfit, parameters=values, n_free=int(free.sum())))
         if cost > most:
             return None
     return min(found, key=lambda fit: fit.criterion(decay))
 
 
-def modes_of(decay: Decay, start: FloatArray, *, whole: bool) -> Fit:
+def modes_of(decay: Decay, start: FloatArray, *, whole: bool) -> Contender:
     """Linear modes (n_modes, 2) from angular frequencies [rad/sample] and damping ratios, free in every output."""
 
     def columns(values: FloatArray, times: FloatArray) -> FloatArray:
@@ -298,7 +298,9 @@ def modes_of(decay: Decay, start: FloatArray, *, whole: bool) -> Fit:
     values = start.ravel()
     for part in [decay] if whole else [decay.first(n) for n in _longer(decay)]:
         _, values = _least(part, columns, values, bounds, free)
-    return Fit(misfit=decay.misfit(decay.left(columns(values, decay.times))), parameters=values, n_free=values.size)
+    return Contender(
+        misfit=decay.misfit(decay.left(columns(values, decay.times))), parameters=values, n_free=values.size
+    )
 
 
 def waves(modes: FloatArray, times: FloatArray) -> FloatArray:
@@ -308,7 +310,7 @@ def waves(modes: FloatArray, times: FloatArray) -> FloatArray:
     return np.hstack([rings.real, rings.imag])
 
 
-def two_modes_of(decay: Decay, one: FloatArray) -> Fit:
+def two_modes_of(decay: Decay, one: FloatArray) -> Contender:
     """The best two modes, `one` being the parameters of the one alone."""
     turns, span, one = decay.turns, float(decay.times[-1]), one[:2]
     beside = strongest_line(decay.times, np.where(decay.there, decay.left(waves(one[np.newaxis], decay.times)), np.nan))
@@ -329,7 +331,7 @@ def two_modes_of(decay: Decay, one: FloatArray) -> Fit:
     return min(fits, key=lambda fit: fit.misfit)
 
 
-def rings(poles: ComplexArray, times: FloatArray) -> FloatArray:
+def exponentials(poles: ComplexArray, times: FloatArray) -> FloatArray:
     """(n, n_columns) what poles [1/sample] make, each with any size: one column of a real one, two of a pair."""
     grown = np.exp((np.minimum(poles.real, 0.0) + 1j * poles.imag) * times[:, np.newaxis])
     return np.hstack([grown.real, grown.imag[:, poles.imag != 0]])

@@ -29,14 +29,14 @@ from modal.verdict.judgement import FOUND_AGAIN, doubted
 from modal.verdict.oscillator import (
     CLOSELY,
     FEWEST,
+    Contender,
     Decay,
-    Fit,
     at_level,
+    exponentials,
     level_after,
     mode_of,
     modes_of,
     oscillator_of,
-    rings,
     strongest_line,
     two_modes_of,
 )
@@ -152,7 +152,7 @@ class Contest:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Told:
+class RingDownAnswer:
     """Modes as they stand after the question whether they ring down as modes do, and what to say."""
 
     modes: ModalModel
@@ -167,7 +167,7 @@ def told_of_ring_down(
     *,
     output_scale: FloatArray,
     is_decay: bool,
-) -> Told:
+) -> RingDownAnswer:
     """Whether what rings down rings as modes do, and which of the modes that leaves certain.
 
     Args:
@@ -181,19 +181,19 @@ def told_of_ring_down(
     rest = is_decay and bool(modes.system) and carried(modes, n_steps=n_steps, output_scale=output_scale) < CARRIED
     contest = contest_of(records, left, modes.modes, whole=rest)
     if contest is None:
-        return Told(modes=modes)
+        return RingDownAnswer(modes=modes)
     bent = contest.bent
     if bent is not None:
-        return Told(modes=_doubted(modes, bent.doubt), warnings=(bent.sentence,), choices=(bent.choice,))
+        return RingDownAnswer(modes=_doubted(modes, bent.doubt), warnings=(bent.sentence,), choices=(bent.choice,))
     if contest.crowd:
         what = f"what rings at {hertz(contest.frequency)} Hz"
         why = f"fewer modes explain {what} as closely as the {contest.crowd} poles that were found there"
         told = _doubted(modes, why, line=contest.frequency)
-        return Told(modes=told, warnings=(f"{why[0].upper()}{why[1:]}, so none of these is certain.",))
+        return RingDownAnswer(modes=told, warnings=(f"{why[0].upper()}{why[1:]}, so none of these is certain.",))
     if not rest or contest.few:
-        return Told(modes=modes)
+        return RingDownAnswer(modes=modes)
     said = REST[0].upper() + REST[1:]
-    return Told(
+    return RingDownAnswer(
         modes=_doubted(modes, REST),
         warnings=(f"{said}: it may be no sum of modes, and none of them is certain.",),
         choices=(_no_modes(REST),),
@@ -272,7 +272,7 @@ def contest_of(
     )
 
 
-def _ring_down(own: Fit, times: FloatArray, dt: float, gain: float) -> RingDown:
+def _ring_down(own: Contender, times: FloatArray, dt: float, gain: float) -> RingDown:
     friction = float(own.parameters[3])
     level = min(1.0, max(LATER, MOVING * friction, level_after(own.parameters, times)))
     (first, ratio), (later, other) = (at_level(own.parameters, at) for at in (1.0, level))
@@ -309,7 +309,7 @@ def _asked(record: Record, errors: FloatArray, modes: Sequence[Mode]) -> tuple[D
     near = (poles.imag != 0) & (np.abs(poles) < BAND * line) & (BAND * np.abs(poles) > line)
     certain = near & np.array([mode.verdict == "system" for mode in modes], dtype=np.bool_)
     few = np.column_stack([np.abs(poles), -poles.real / np.maximum(np.abs(poles), TINY)])[certain]
-    decay = Decay.of(times, seen / size, rings(poles[~near], times))
+    decay = Decay.of(times, seen / size, exponentials(poles[~near], times))
     return decay, linear / size, few
 
 
