@@ -181,6 +181,42 @@ def whiteness(errors: CentredErrors, *, n_lags: int, n_fitted: int) -> Whiteness
     )
 
 
+def whiteness_of_each(errors: Sequence[FloatArray], *, n_lags: int) -> float:
+    """`whiteness(...).ratio` of each output by itself, for those that are not measured in the same rows.
+
+    Args:
+        errors: (n_samples, n_outputs) a record in units of their outputs, NaN where not known.
+        n_lags: L; those at which an output has no pairs of samples are left out.
+
+    Returns:
+        The sum of squared autocorrelations, each over its variance, over their number; nan where an output's errors are
+        rounding, or no two samples are so near.
+
+    Example:
+        >>> noise = np.random.default_rng(2).standard_normal((3000, 2))
+        >>> noise[::2, 0] = np.nan
+        >>> 0.7 < whiteness_of_each([noise], n_lags=20) < 1.4
+        True
+        >>> whiteness_of_each([noise + np.nan_to_num(np.roll(noise, 2, axis=0))], n_lags=20) > 10.0
+        True
+    """
+    statistic, freedom = 0.0, 0
+    for i in range(errors[0].shape[1]):
+        there = [np.isfinite(one[:, i]) for one in errors]
+        count = sum(int(own.sum()) for own in there)
+        mean = sum(float(one[own, i].sum()) for one, own in zip(errors, there, strict=True)) / max(1, count)
+        parts = [np.where(own, one[:, i] - mean, 0.0) for one, own in zip(errors, there, strict=True)]
+        variance = sum(float(one @ one) for one in parts) / max(1, count)
+        if not np.sqrt(variance) > ROUND_OFF:
+            return float("nan")
+        for lag in range(1, n_lags + 1):
+            pairs = sum(int(np.count_nonzero(own[lag:] & own[:-lag])) for own in there)
+            if pairs > n_lags:
+                product = sum(float(one[lag:] @ one[:-lag]) for one in parts)
+                statistic, freedom = statistic + product**2 / (pairs * variance**2), freedom + 1
+    return statistic / freedom if freedom else float("nan")
+
+
 def input_correlation(
     errors: CentredErrors, inverse_root: FloatArray, inputs: Sequence[FloatArray], *, first_lag: int, last_lag: int
 ) -> float:

@@ -203,7 +203,7 @@ def with_weak_mode(
     )
     if by == "observer":
         several = tuple(
-            replace(one, outputs=error)
+            replace(one, outputs=np.where(np.isnan(error).all(axis=1, keepdims=True), np.nan, np.nan_to_num(error)))
             for one, error in zip(data.records, measured, strict=True)
             if not np.isnan(error).all()  # a stub may lie within what is held out
         )
@@ -372,7 +372,7 @@ def _correlations(
 
 
 def errors_of(step: RefinementStep, data: OutputError, *, held_out: int = NONE) -> list[FloatArray]:
-    """(n_samples, n_outputs) a record: errors of the free run, NaN on rows that do not count."""
+    """(n_samples, n_outputs) a record: errors of the free run, NaN where a sample does not count."""
     errors = []
     parameters, coefficients = step.parameters, step.linear.coefficients
     layout = step.layout
@@ -380,12 +380,12 @@ def errors_of(step: RefinementStep, data: OutputError, *, held_out: int = NONE) 
     direct = np.zeros((layout.n_outputs, layout.n_inputs))
     direct[:, : layout.n_direct] = coefficients[n_states:n_linear].T
     recursion = ModalRecursion.of(parameters.poles, parameters.inputs, step.linear.shapes, direct)
-    for index, (record, state, rows) in enumerate(zip(data.records, parameters.states, data.rows, strict=True)):
+    for index, (record, state, there) in enumerate(zip(data.records, parameters.states, data.counted, strict=True)):
         error = record.outputs - recursion.from_rest(record.inputs)
         n_alive = recursion.n_alive(record.n_samples)
         error[:n_alive] -= recursion.free_response(state, n_alive)
         error -= coefficients[n_linear + index]
-        error[~rows] = np.nan
+        error[~there] = np.nan
         for block in data.blocks:
             if block.record == index and block.label == held_out:
                 error[block.rows] = np.nan

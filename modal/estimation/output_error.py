@@ -9,11 +9,13 @@ complex pole is lambda = exp(-exp(a) + j theta), so no step can leave the unit c
     M1 = (c_i* W c_j) (s_i* P s_j),   M2 = (c_i' W c_j) (s_i' P s_j),   P = I - Phi (Phi' Phi)^-1 Phi'
 
 so that one Gram matrix of states and sensitivities gives shapes, gradient and J'J; no Jacobian is formed. The scale
-that b and c share is fixed by leaving the largest entry of each b alone.
+that b and c share is fixed by leaving the largest entry of each b alone. Outputs that were measured in other rows than
+others have sums of their own, and all of these add up.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -52,6 +54,8 @@ class OutputError:
         rows: (n_samples,) a record, True where all channels were measured.
         blocks: all rows, with the fold that holds each block out.
         n_direct: the first so many inputs act on the outputs at once; None for all of them.
+        measured: (n_samples, n_outputs) a record, False where an output was not measured in a row that counts; none
+            where there is no such row. Weights between outputs that are not measured together count for nothing.
 
     An input that stands still throughout a record and moves in another makes a level and a start, which each record has
     of its own, so it is set to zero there.
@@ -61,9 +65,26 @@ class OutputError:
     rows: tuple[BoolArray, ...]
     blocks: tuple[Block, ...]
     n_direct: int | None = None
+    measured: tuple[BoolArray, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "records", moving_inputs(self.records))
+
+    @property
+    def counted(self) -> tuple[BoolArray, ...]:
+        """(n_samples, n_outputs) a record, True where a sample counts."""
+        if self.measured:
+            return tuple(rows[:, np.newaxis] & own for rows, own in zip(self.rows, self.measured, strict=True))
+        shapes = [record.outputs.shape for record in self.records]
+        return tuple(np.broadcast_to(rows[:, np.newaxis], size) for rows, size in zip(self.rows, shapes, strict=True))
+
+    @property
+    def together(self) -> tuple[tuple[int, ...], ...]:
+        """Outputs that are measured in the same rows."""
+        groups: dict[bytes, list[int]] = {}
+        for i in range(self.records[0].n_outputs):
+            groups.setdefault(b"".join(np.packbits(own[:, i]).tobytes() for own in self.measured), []).append(i)
+        return tuple(map(tuple, groups.values()))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -73,19 +94,33 @@ class LinearPart:
     Attributes:
         coefficients: (n_regressors, n_outputs) on real and imaginary parts of the states, inputs and levels.
         shapes: (n_outputs, n_poles) c, so that mode i gives Re(c_i x_i).
-        inverse_factor: (n_kept, n_regressors) W with W'W = (Phi' Phi)^-1 on the directions kept.
-        error_products: (n_outputs, n_outputs) E'E of the errors on the training rows.
+        error_products: (n_outputs, n_outputs) E'E of the errors on the training rows; zero between outputs that are not
+            measured together.
     """
 
     coefficients: FloatArray
     shapes: ComplexArray
-    inverse_factor: FloatArray
     error_products: FloatArray
 
     @property
     def squared_errors(self) -> FloatArray:
         """(n_outputs,) of each output."""
         return np.maximum(np.diag(self.error_products), 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Sums:
+    """What the training rows hold in which some outputs were measured together.
+
+    Attributes:
+        outputs: which.
+        gram: (size, size) products of all signals.
+        inverse_factor: (n_kept, n_regressors) W with W'W = (Phi' Phi)^-1 on the directions kept.
+    """
+
+    outputs: tuple[int, ...]
+    gram: FloatArray
+    inverse_factor: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -110,8 +145,8 @@ class RefinementStep:
         linear: linear ones, from the training rows.
         layout: of all signals.
         blocks: of the Gram matrices.
-        gram: (size, size) of all signals over the training rows.
-        parts: (n_blocks, n, n) of each block's own regressors and outputs.
+        sums: over the training rows, of outputs that are measured together.
+        parts: (n_blocks, n, n) of each block's own regressors and outputs, over all rows that count.
         error: weighted sum of squares over the training rows.
     """
 
@@ -119,7 +154,7 @@ class RefinementStep:
     linear: LinearPart
     layout: SignalLayout
     blocks: tuple[Block, ...]
-    gram: FloatArray
+    sums: tuple[Sums, ...]
     parts: FloatArray
     error: float
 
@@ -211,66 +246,84 @@ def step_at(
     """Run the model through the records and solve for its linear part."""
     weights = np.eye(data.records[0].n_outputs) if weights is None else weights
     n_direct = data.records[0].n_inputs if data.n_direct is None else data.n_direct
-    layout, gram, parts = signal_grams(
-        parameters, data.records, data.rows, data.blocks, n_direct=n_direct, held_out=held_out
+    sums_over = partial(
+        signal_grams, parameters, data.records, blocks=data.blocks, n_direct=n_direct, held_out=held_out
     )
-    linear = linear_part(layout, gram)
+    layout, whole, parts = sums_over(rows=data.rows)
+    sums = []
+    for outputs in data.together:
+        gram = whole
+        if data.measured:  # over the fewer rows, those in which they were measured or the others
+            own = [counted[:, outputs[0]] for counted in data.counted]
+            others = [rows & ~there for rows, there in zip(data.rows, own, strict=True)]
+            fewer = sum(map(np.count_nonzero, others)) <= sum(map(np.count_nonzero, own))
+            gram = whole - sums_over(rows=others)[1] if fewer else sums_over(rows=own)[1]
+        sums.append(
+            Sums(outputs=outputs, gram=gram, inverse_factor=_inverse_factor(gram[layout.regressors, layout.regressors]))
+        )
+    linear = linear_part(layout, sums)
     return RefinementStep(
         parameters=parameters,
         linear=linear,
         layout=layout,
         blocks=data.blocks,
-        gram=gram,
+        sums=tuple(sums),
         parts=parts,
         error=float((weights * linear.error_products).sum()),
     )
 
 
-def linear_part(layout: SignalLayout, gram: FloatArray) -> LinearPart:
+def linear_part(layout: SignalLayout, sums: Sequence[Sums]) -> LinearPart:
     """Shapes, feedthrough and levels by least squares; directions that the rows do not show are left at zero."""
-    phi, out = layout.regressors, layout.outputs
-    own, cross = gram[phi, phi], gram[phi, out]
+    n, n_outputs = layout.n_poles, layout.n_outputs
+    coefficients, products = np.zeros((layout.n_regressors, n_outputs)), np.zeros((n_outputs, n_outputs))
+    for one in sums:
+        own, out = np.array(one.outputs), layout.outputs.start + np.array(one.outputs)
+        projected = one.inverse_factor @ one.gram[layout.regressors, out]
+        coefficients[:, own] = one.inverse_factor.T @ projected
+        products[np.ix_(own, own)] = one.gram[np.ix_(out, out)] - projected.T @ projected
+    return LinearPart(
+        coefficients=coefficients,
+        shapes=(coefficients[:n] - 1j * coefficients[n : 2 * n]).T,
+        error_products=products,
+    )
+
+
+def _inverse_factor(own: FloatArray) -> FloatArray:
+    """(n_kept, n) W with W'W the inverse of (n, n) products, on the directions that are no rounding."""
     size = np.sqrt(np.diag(own))
     size = np.where(size > 0.0, size, 1.0)
     scaled = own / np.outer(size, size)
     factor, info = scipy.linalg.lapack.dpotrf(scaled, lower=1)
     if info == 0 and np.diag(factor).min() ** 2 >= ROUND_OFF:
-        inverse_factor = scipy.linalg.solve_triangular(factor, np.diag(1.0 / size), lower=True, check_finite=False)
-    else:
-        values, vectors = np.linalg.eigh(scaled)
-        kept = values > ROUND_OFF * max(1.0, values[-1])
-        inverse_factor = (vectors[:, kept] / np.sqrt(values[kept])).T / size
-    projected = inverse_factor @ cross
-    coefficients = inverse_factor.T @ projected
-    n = layout.n_poles
-    return LinearPart(
-        coefficients=coefficients,
-        shapes=(coefficients[:n] - 1j * coefficients[n : 2 * n]).T,
-        inverse_factor=inverse_factor,
-        error_products=gram[out, out] - projected.T @ projected,
-    )
+        return np.asarray(scipy.linalg.solve_triangular(factor, np.diag(1.0 / size), lower=True, check_finite=False))
+    values, vectors = np.linalg.eigh(scaled)
+    kept = values > ROUND_OFF * max(1.0, values[-1])
+    return np.asarray((vectors[:, kept] / np.sqrt(values[kept])).T / size)
 
 
 def step_equations(step: RefinementStep, *, weights: FloatArray, coordinates: "Coordinates | None" = None) -> Normal:
     """J'WJ and J'We in the free parameters, the linear part projected out."""
     coordinates = PolesAndParticipations() if coordinates is None else coordinates
-    layout, linear, gram = step.layout, step.linear, step.gram
-    n, phi, out = layout.n_sensitivities, layout.regressors, layout.outputs
+    layout, linear = step.layout, step.linear
+    n, phi = layout.n_sensitivities, layout.regressors
     both = slice(layout.real.start, layout.imaginary.stop)
-    projected = linear.inverse_factor @ gram[phi, both]
-    own = gram[both, both] - projected.T @ projected
-    residual = gram[both, out] - gram[both, phi] @ linear.coefficients
-    rr, ri, ii = own[:n, :n], own[:n, n:], own[n:, n:]
-    hermitian = (rr + ii) + 1j * (ri - ri.T)
-    symmetric = (rr - ii) + 1j * (ri + ri.T)
-    owners = layout.owners
-    c = linear.shapes[:, owners]
-    weighted = weights @ c
-    first = (c.conj().T @ weighted) * hermitian
-    second = (c.T @ weighted) * symmetric
+    first, second = np.zeros((2, n, n), dtype=np.complex128)
+    slope = np.zeros(n, dtype=np.complex128)
+    for one in step.sums:
+        gram, seen = one.gram, list(one.outputs)
+        projected = one.inverse_factor @ gram[phi, both]
+        own = gram[both, both] - projected.T @ projected
+        out = [layout.outputs.start + i for i in seen]
+        residual = gram[both][:, out] - gram[both, phi] @ linear.coefficients[:, seen]
+        rr, ri, ii = own[:n, :n], own[:n, n:], own[n:, n:]
+        c = linear.shapes[seen][:, layout.owners]
+        weighted = weights[np.ix_(seen, seen)] @ c
+        first += (c.conj().T @ weighted) * ((rr + ii) + 1j * (ri - ri.T))
+        second += (c.T @ weighted) * ((rr - ii) + 1j * (ri + ri.T))
+        slope += (weighted.T * (residual[:n] + 1j * residual[n:])).sum(axis=1)
     total, difference = 0.5 * (first + second), 0.5 * (first - second)
     matrix = np.block([[total.real, -total.imag], [difference.imag, difference.real]])
-    slope = (weighted.T * (residual[:n] + 1j * residual[n:])).sum(axis=1)
     matrix, gradient = coordinates.taken(step.parameters, matrix, np.concatenate([slope.real, -slope.imag]))
     return Normal(matrix=0.5 * (matrix + matrix.T), gradient=gradient)
 

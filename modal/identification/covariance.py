@@ -27,7 +27,7 @@ from modal.estimation.feedback import inputs_made_by
 from modal.estimation.free_run import powers_of
 from modal.estimation.modal_parameters import errors_of
 from modal.estimation.modal_states import CHUNK, signal_grams, signals_of
-from modal.estimation.output_error import LinearPart, PolesAndParticipations, step_equations
+from modal.estimation.output_error import LinearPart, PolesAndParticipations, RefinementStep, step_equations
 from modal.identification.refined_search import RefinedModel
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import Mode, Uncertainty
@@ -67,7 +67,7 @@ class _Loadings:
         angle: (n_disturbances, n_poles) of arg lambda.
         inputs: (n_disturbances, n_poles, n_inputs) of b.
         coefficients: (n_disturbances, n_regressors, n_outputs) of what is linear in the outputs.
-        own: (n_own, n_regressors) changes of one output's coefficients for unit noise on that output alone.
+        own: (n_own, n_regressors, n_outputs) changes of an output's coefficients for unit noise on it alone.
         noise: (n_outputs,) standard deviation of that noise; zero where `coefficients` hold all.
         degrees_of_freedom: of what the noise was estimated from.
     """
@@ -133,17 +133,17 @@ def _deviations(loadings: _Loadings, model: RefinedModel, modes: Sequence[Mode],
 
 def _white(model: RefinedModel, own: FloatArray | None = None) -> _Loadings:
     """Of white noise with (n_records, n_outputs) variances; of what the model leaves unless given."""
-    step, weights, n_rows = model.step, model.weights, model.n_rows
+    step, weights = model.step, model.weights
     normal = step_equations(step, weights=weights)
+    rows = np.array([there.sum(axis=0) for there in model.data.counted])
     fitted = step.layout.n_regressors + normal.gradient.size / step.layout.n_outputs
-    freedom = max(1.0, n_rows - fitted)
-    rows = np.array([int(there.sum()) for there in model.data.rows])
+    freedom = np.maximum(1.0, rows.sum(axis=0) - model.n_rest - fitted)
     if own is None:
         left = np.array([np.nansum(error**2, axis=0) for error in errors_of(step, model.data)])
-        own = left / np.maximum(rows, 1)[:, np.newaxis] * rows.sum() / freedom
+        own = left / np.maximum(rows, 1) * rows.sum(axis=0) / freedom
     if _unlike(own, rows):
-        return _of_records(model, own, freedom)
-    variance = rows @ own / rows.sum()
+        return _of_records(model, own, float(freedom.mean()))
+    variance = (rows * own).sum(axis=0) / np.maximum(rows.sum(axis=0), 1)
     meat = step_equations(step, weights=weights @ np.diag(variance) @ weights).matrix
     # the numbers differ by twenty powers of ten in what they do, so the root is taken at a unit diagonal too
     size = _sizes(meat)
@@ -155,15 +155,24 @@ def _white(model: RefinedModel, own: FloatArray | None = None) -> _Loadings:
         model,
         theta,
         coefficients,
-        own=step.linear.inverse_factor,
+        own=_own(step),
         noise=np.sqrt(variance),
-        degrees_of_freedom=freedom,
+        degrees_of_freedom=float(freedom.mean()),
     )
+
+
+def _own(step: RefinementStep) -> FloatArray:
+    """(n_own, n_regressors, n_outputs) the root of each output's own (Phi' Phi)^-1."""
+    n = max(len(one.inverse_factor) for one in step.sums)
+    own = np.zeros((n, step.layout.n_regressors, step.layout.n_outputs))
+    for one in step.sums:
+        own[: len(one.inverse_factor), :, list(one.outputs)] = one.inverse_factor[:, :, np.newaxis]
+    return own
 
 
 def _unlike(variances: FloatArray, rows: np.ndarray) -> bool:
     """Whether records differ in their noise beyond chance (Bartlett's test), with (n_records, n_outputs) variances."""
-    counted = rows[:, np.newaxis] * (variances > 0.0)
+    counted = rows * (variances > 0.0)
     known = np.where(variances > 0.0, variances, 1.0)
     pooled = (counted * variances).sum(axis=0) / np.maximum(counted.sum(axis=0), 1)
     statistic = float((counted * np.log(np.where(counted > 0, pooled, 1.0) / known)).sum())
@@ -176,17 +185,19 @@ def _of_records(model: RefinedModel, variances: FloatArray, degrees_of_freedom: 
     step, data, layout = model.step, model.data, model.step.layout
     rng = np.random.default_rng(0)
     products = np.zeros((N_RECORD_DRAWS, layout.size, layout.n_outputs))
-    for number, (record, counted) in enumerate(zip(data.records, data.rows, strict=True)):
+    for number, (record, counted) in enumerate(zip(data.records, data.counted, strict=True)):
         places = layout.places(number)
-        gram = np.zeros((len(places), len(places)))
-        for first, every in signals_of(layout, step.parameters, number, record):
-            signals = every * counted[first : first + len(every), np.newaxis]
-            gram += signals.T @ signals
-        size = _sizes(gram)
-        values, vectors = np.linalg.eigh(gram / np.outer(size, size))
-        root = size[:, np.newaxis] * vectors * np.sqrt(np.maximum(values, 0.0))
         drawn = rng.standard_normal((N_RECORD_DRAWS, len(places), layout.n_outputs))
-        products[:, places] += np.einsum("st,kto->kso", root, drawn) * np.sqrt(variances[number])
+        for outputs in map(list, data.together):
+            gram = np.zeros((len(places), len(places)))
+            for first, every in signals_of(layout, step.parameters, number, record):
+                signals = every * counted[first : first + len(every), outputs[:1]]
+                gram += signals.T @ signals
+            size = _sizes(gram)
+            values, vectors = np.linalg.eigh(gram / np.outer(size, size))
+            root = size[:, np.newaxis] * vectors * np.sqrt(np.maximum(values, 0.0))
+            made = np.einsum("st,kto->kso", root, drawn[..., outputs]) * np.sqrt(variances[number, outputs])
+            products[:, places[:, np.newaxis], outputs] += made
     return _pulled(model, products / np.sqrt(N_RECORD_DRAWS), degrees_of_freedom)
 
 
@@ -194,7 +205,7 @@ def _of_blocks(model: RefinedModel) -> _Loadings:
     """Each block of rows by what all signals have in common with its errors."""
     step, data, layout, n_blocks = model.step, model.data, model.step.layout, len(model.data.blocks)
     products, phi = np.zeros((n_blocks, layout.size, layout.n_outputs)), layout.alone.regressors
-    for number, (record, counted) in enumerate(zip(data.records, data.rows, strict=True)):
+    for number, (record, counted) in enumerate(zip(data.records, data.counted, strict=True)):
         places = layout.places(number)
         own = [(i, block) for i, block in enumerate(data.blocks) if block.record == number]
         for first, signals in signals_of(layout, step.parameters, number, record):
@@ -258,7 +269,8 @@ def _powers(model: RefinedModel) -> _Powers:
         measured, answers = (np.abs(np.fft.rfft(one, axis=0)[1:]) ** 2 for one in (error, pulses))
         moves = (record.inputs != record.inputs[:1]).any(axis=0) / size**2
         acting.append(moves)
-        looks.append((measured / len(error), answers * moves[:, np.newaxis]))
+        there = np.maximum(1, np.isfinite(left[:LONGEST_LOOK]).sum(axis=0))
+        looks.append((measured / there, answers * moves[:, np.newaxis]))
     least = np.finfo(float).eps * max(measured.max() for measured, _ in looks)
     looks = [(measured + least, answers) for measured, answers in looks]
     alone = np.array([measured.mean(axis=0) for measured, _ in looks])
@@ -299,22 +311,22 @@ def _of_inputs(model: RefinedModel, powers: FloatArray) -> tuple[_Loadings, _Loa
     rng = np.random.default_rng(0)
     whole = np.zeros((N_DRAWS, layout.size, layout.n_outputs))
     parts = np.zeros((N_BLOCK_DRAWS, len(data.blocks), *whole.shape[1:]))
-    for number, (record, counted) in enumerate(zip(data.records, data.rows, strict=True)):
+    for number, (record, counted) in enumerate(zip(data.records, data.counted, strict=True)):
         recursion = PoleRecursion.of(parameters.poles, min(record.n_samples, CHUNK))
         states = np.zeros((N_DRAWS, n), dtype=np.complex128)
         places = layout.places(number)
         own = [(i, block) for i, block in enumerate(data.blocks) if block.record == number]
         sizes = np.sqrt(powers[number])[:, np.newaxis] * (record.inputs != 0.0).T  # a force window leaves no noise
-        for first, every in signals_of(layout, parameters, number, record):
-            signals = every * counted[first : first + len(every), np.newaxis]
+        for first, signals in signals_of(layout, parameters, number, record):
+            there = counted[first : first + len(signals)]
             for k in range(N_DRAWS):
                 noise = sizes[:, first : first + len(signals)] * rng.standard_normal((m, len(signals)))
                 state, states[k] = recursion.run(parameters.inputs @ noise, states[k])
-                left = ((step.linear.shapes @ state).real + D @ noise).T
+                left = ((step.linear.shapes @ state).real + D @ noise).T * there
                 whole[k, places] += signals.T @ left
                 for i, block in own if k < N_BLOCK_DRAWS else ():
-                    there = slice(max(0, block.first - first), max(0, block.last - first))
-                    parts[k, i, places] += signals[there].T @ left[there]
+                    rows = slice(max(0, block.first - first), max(0, block.last - first))
+                    parts[k, i, places] += signals[rows].T @ left[rows]
     each = parts.reshape(-1, *whole.shape[1:])
     return (
         _pulled(model, whole / np.sqrt(N_DRAWS), float(N_DRAWS)),
@@ -333,12 +345,15 @@ def _pulled(model: RefinedModel, products: FloatArray, degrees_of_freedom: float
     normal = step_equations(step, weights=model.weights)
     slopes = _slopes(model)
     theta = _scores(model, slopes, products @ model.weights) @ _inverse(normal.matrix)
-    inverse = step.linear.inverse_factor.T @ step.linear.inverse_factor
+    coefficients = -np.einsum("st,tno->sno", theta, slopes)
+    for one in step.sums:
+        seen = list(one.outputs)
+        coefficients[:, :, seen] += one.inverse_factor.T @ (one.inverse_factor @ products[:, layout.regressors, seen])
     return _loadings(
         model,
         theta,
-        inverse @ products[:, layout.regressors] - np.einsum("st,tno->sno", theta, slopes),
-        own=np.zeros((0, layout.n_regressors)),
+        coefficients,
+        own=np.zeros((0, layout.n_regressors, layout.n_outputs)),
         noise=np.zeros(layout.n_outputs),
         degrees_of_freedom=degrees_of_freedom,
     )
@@ -376,13 +391,14 @@ def _outputs_of(model: RefinedModel, real: FloatArray, imag: FloatArray) -> Floa
 
 def _slopes(model: RefinedModel) -> FloatArray:
     """(n_free, n_regressors, n_outputs) T: a change of the parameters changes the coefficients by -T of it."""
-    layout = model.step.layout
-    gram, phi = model.step.gram, layout.regressors
-    products = _outputs_of(
-        model, gram[layout.real, phi][:, :, np.newaxis], gram[layout.imaginary, phi][:, :, np.newaxis]
-    )
-    factor = model.step.linear.inverse_factor
-    return np.einsum("nk,tko->tno", factor.T @ factor, products)
+    layout, phi = model.step.layout, model.step.layout.regressors
+    real, imaginary = np.empty((2, layout.n_sensitivities, layout.n_regressors, layout.n_outputs))
+    for one in model.step.sums:
+        inverse = one.inverse_factor.T @ one.inverse_factor
+        seen = list(one.outputs)
+        real[:, :, seen] = (one.gram[layout.real, phi] @ inverse)[:, :, np.newaxis]
+        imaginary[:, :, seen] = (one.gram[layout.imaginary, phi] @ inverse)[:, :, np.newaxis]
+    return _outputs_of(model, real, imaginary)
 
 
 def _scores(model: RefinedModel, slopes: FloatArray, products: FloatArray) -> FloatArray:
@@ -442,8 +458,8 @@ def _shape_deviations(
     shape = (c / largest).T
     reference = moved[:, np.arange(n), first]
     change = (moved - shape * reference[:, :, np.newaxis]) / largest[:, np.newaxis]
-    own = np.linalg.norm(loadings.own[:, :n] - 1j * loadings.own[:, n : 2 * n], axis=0) / np.abs(largest)
-    alone = own[:, np.newaxis] * (loadings.noise * output_scale)
+    own = np.linalg.norm(loadings.own[:, :n] - 1j * loadings.own[:, n : 2 * n], axis=0) / np.abs(largest)[:, np.newaxis]
+    alone = own * (loadings.noise * output_scale)
     others = np.abs(shape) * alone[np.arange(n), first][:, np.newaxis]
     variance = (np.abs(change) ** 2).sum(axis=0) + alone**2 + others**2
     variance[np.arange(n), first] = 0.0
@@ -464,7 +480,7 @@ def _mass_deviations(loadings: _Loadings, model: RefinedModel) -> FloatArray:
         seen, fed = moved / c, loadings.inputs / b
         change = (seen - 2.0 * seen[:, *largest][:, :, np.newaxis])[..., np.newaxis] - fed[:, :, np.newaxis]
         # noise of each output on its own coefficients alone
-        alone = np.square((own[:, :, np.newaxis] / c).real).sum(axis=0) * loadings.noise**2
+        alone = np.square((own / c).real).sum(axis=0) * loadings.noise**2
     reference = alone[largest]
     alone += 4.0 * reference[:, np.newaxis]
     alone[largest] = reference
@@ -482,16 +498,17 @@ def _markov_deviations(loadings: _Loadings, model: RefinedModel, n_lags: int) ->
     d_c = loadings.coefficients[:, :n] - 1j * loadings.coefficients[:, n : 2 * n]
     at = slice(2 * n, 2 * n + m)
     own = np.linalg.norm(loadings.own[:, at], axis=0)
-    deviations[0] = np.sqrt(
-        (loadings.coefficients[:, at] ** 2).sum(axis=0).T + (loadings.noise[:, np.newaxis] * own) ** 2
-    )
+    deviations[0] = np.sqrt(((loadings.coefficients[:, at] ** 2).sum(axis=0) + (loadings.noise * own) ** 2).T)
     power, slope = np.ones(n, dtype=np.complex128), np.zeros(n, dtype=np.complex128)
     for k in range(1, n_lags + 1):
         z = power[:, np.newaxis] * b
         # change of lambda^(k-1) b for each disturbance
         d_z = (slope * d_poles)[:, :, np.newaxis] * b + power[:, np.newaxis] * loadings.inputs
         change = np.einsum("spo,pm->som", d_c, z).real + np.einsum("op,spm->som", c, d_z).real
-        alone = np.linalg.norm(loadings.own[:, :n] @ z.real + loadings.own[:, n : 2 * n] @ z.imag, axis=0)
+        seen = np.tensordot(z.real, loadings.own[:, :n], axes=(0, 1)) + np.tensordot(
+            z.imag, loadings.own[:, n : 2 * n], axes=(0, 1)
+        )
+        alone = np.linalg.norm(seen, axis=1).T  # (n_outputs, n_inputs)
         deviations[k] = np.sqrt((change**2).sum(axis=0) + (loadings.noise[:, np.newaxis] * alone) ** 2)
         power, slope = power * poles, slope * poles + power
     return deviations

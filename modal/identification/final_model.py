@@ -53,7 +53,7 @@ from modal.modes.extraction import extract_modes
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel, Uncertainty
 from modal.verdict.repeatability import ORDER_SHARES
-from okid.arrays import FloatArray
+from okid.arrays import BoolArray, FloatArray
 from okid.errors import IdentificationError, InsufficientDataError, NumericalError, quiet
 from okid.markov import MarkovParameters, recover_markov
 from okid.observer import ObserverFit, fit_observer
@@ -116,6 +116,7 @@ def fit_all_rows(
     noise_free: str = "",
     refinement: Literal["auto", "none"] = "auto",
     feedback: bool = False,
+    measured: Sequence[BoolArray] = (),
     progress: Callable[[float], None] = lambda _share: None,
 ) -> tuple[Search, FinalModel]:
     """Fit the chosen trial, else the next best stable one, to all rows.
@@ -129,6 +130,7 @@ def fit_all_rows(
         noise_free: in words, which samples hold no noise; where some do, no model of the noise is asked for.
         refinement: "none" leaves the model as OKID and ERA give it.
         feedback: the outputs seem to be fed back into the inputs.
+        measured: (n_samples, n_outputs) a record, False where a sample was filled; none where all were measured.
         progress: called with the share that is behind at most, before each step.
 
     Returns:
@@ -159,6 +161,7 @@ def fit_all_rows(
                     by=found.ground.by,
                     feedback=feedback,
                     order_given=len(found.limits.model_orders) == 1,
+                    measured=measured,
                     progress=progress,
                 )
                 made = made[0], refined
@@ -423,6 +426,7 @@ def _refined(
     by: Folds,
     feedback: bool,
     order_given: bool,
+    measured: Sequence[BoolArray],
     progress: Callable[[float], None],
 ) -> FinalModel:
     refined = None
@@ -436,6 +440,7 @@ def _refined(
             evidence=_largest(fitted, trial.model_order),
             n_rest=n_rest,
             by=by,
+            measured=measured,
         )
     return _with_noise(
         records,

@@ -158,9 +158,10 @@ def _loadings(fit: LikeliestFit) -> tuple[FloatArray, FloatArray]:
     values, vectors = np.linalg.eigh(normal.matrix / np.outer(size, size))
     kept = values > LEAST_CURVATURE
     theta = (slopes @ (vectors[:, kept] / np.sqrt(values[kept]) / size[:, np.newaxis])).T
-    gram = step.gram
+    (sums,) = step.sums  # a predictor needs every output of a row
+    gram, factor = sums.gram, sums.inverse_factor
     phi, c = layout.regressors, step.linear.shapes.T[layout.owners]
-    inverse = step.linear.inverse_factor.T @ step.linear.inverse_factor
+    inverse = factor.T @ factor
     n = layout.n_sensitivities
     real, imaginary = theta[:, :n], theta[:, n:]
     # change of the outputs: sum of Re(c (real + i imaginary) s); what the regressors take up of it
@@ -168,7 +169,7 @@ def _loadings(fit: LikeliestFit) -> tuple[FloatArray, FloatArray]:
     products = np.tensordot(weighted.real, gram[layout.real, phi], axes=(1, 0))
     products -= np.tensordot(weighted.imag, gram[layout.imaginary, phi], axes=(1, 0))
     taken = -np.einsum("son,nk->sko", products, inverse)
-    own = np.einsum("kn,oq->kqno", step.linear.inverse_factor, np.linalg.cholesky(R))
+    own = np.einsum("kn,oq->kqno", factor, np.linalg.cholesky(R))
     own = own.reshape(-1, layout.n_regressors, layout.n_outputs)
     return np.vstack([theta, np.zeros((own.shape[0], theta.shape[1]))]), np.concatenate([taken, own])
 

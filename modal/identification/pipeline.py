@@ -50,7 +50,7 @@ from modal.preparation.delay import (
     late_and_early,
 )
 from modal.preparation.faults import Mended, free_of_clipping, mended
-from modal.preparation.filling import refilled
+from modal.preparation.filling import holds_filled, refilled
 from modal.preparation.integrators import driven_by_inputs
 from modal.preparation.kind import GivenKind, KindFound, find_kind, given_kind
 from modal.preparation.quick_model import left_alone_and_together
@@ -83,9 +83,6 @@ SECONDS_A_VALUE = (4e-6, 8e-5)
 FITTING, FITTED, WHITENED = 0.4, 0.8, 0.85
 """Tell so much as behind before and after the fit to all rows, which takes half of the time of a long record, and after
 what is done where its noise is white."""
-MOST_REFILLS, SETTLED = 8, 0.03
-"""Fill again with what the model makes of what was missing, and fit again, so often, or until that moves by less than
-this share of what it leaves of the samples that were measured."""
 MOST_MEMORY = 1.5e9
 """Bytes above which stretches stand for the records, whatever the machine has: all machines give the same result."""
 
@@ -269,19 +266,23 @@ def _with_delays(
         # a few blows are no stationary input, of which the test could be asked
         acting = early_inputs(several, preparation.input_delay, preparation.records[0].dt)
         suspected = kind_found.kind == "driven" and feedback_p_value(acting) < FALSE_ALARMS
-        for turn in range(1 + MOST_REFILLS):
-            taken, final = fit_all_rows(
-                preparation.records,
-                found,
-                n_rest=sum(preparation.n_rest),
-                noise_free=noise_free,
-                refinement=refinement,
-                feedback=suspected,
-                progress=lambda done: tell("fitting all rows", FITTING + (FITTED - FITTING) * done),
-            )
-            again, moved = refilled(preparation.records, preparation.measured, final.realisation)
-            if moved < SETTLED or turn == MOST_REFILLS:  # the model is that of these records
-                break
+        filled = several[0].n_inputs and holds_filled(preparation.records, preparation.measured)
+        if filled:
+            noise_free = noise_free or "samples that were filled hold no noise"
+            if refinement == "auto":  # rows kept aside were filled too, and do not tell when to stop
+                found = replace(found, chosen=replace(found.chosen, refinement_steps=MOST_STEPS))
+        taken, final = fit_all_rows(
+            preparation.records,
+            found,
+            n_rest=sum(preparation.n_rest),
+            noise_free=noise_free,
+            refinement=refinement,
+            feedback=suspected,
+            measured=preparation.measured if filled else (),
+            progress=lambda done: tell("fitting all rows", FITTING + (FITTED - FITTING) * done),
+        )
+        if filled:
+            again = refilled(preparation.records, preparation.measured, final.realisation)
             preparation = replace(preparation, records=again)
         asked = refinement == "auto" and kind_found.kind == "driven" and not suspected
         white, final = _in_white(preparation.records, taken, final, asked=asked, grows=order == "auto", tell=tell)

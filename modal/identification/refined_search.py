@@ -55,9 +55,9 @@ from modal.estimation.output_error import (
 )
 from modal.estimation.prediction_error import NOISE_FREE, SMALLEST_NOISE
 from modal.identification.order_search import Search, as_good, significantly_worse
-from okid.arrays import FloatArray
+from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
-from okid.residuals import WHITENESS_LAGS, centred, whiteness
+from okid.residuals import WHITENESS_LAGS, centred, whiteness, whiteness_of_each
 from okid.scaling import ChannelScaling, channel_scaling
 
 MOST_STEPS = 8
@@ -370,7 +370,7 @@ class RefinedModel:
         scaling: of the channels.
         weights: (n_outputs, n_outputs) of the squared errors.
         whiteness_ratio: of what the free run leaves; nan where it leaves nothing.
-        n_rows: whole rows that were measured.
+        n_rest: rows that hold no noise.
         n_parts: blocks of the data among which lies what they tell of a pole.
         record_scale: (n_records,) that all channels of a record were divided by, beside their scaling.
         at_rest: (n_records, n_inputs) variances of what inputs showed where a force window made them zero, of the data.
@@ -382,7 +382,7 @@ class RefinedModel:
     scaling: ChannelScaling
     weights: FloatArray
     whiteness_ratio: float
-    n_rows: int
+    n_rest: int
     n_parts: int
     record_scale: FloatArray
     at_rest: FloatArray
@@ -416,6 +416,7 @@ def refined_model(
     least_gain: float = SMALLEST_GAIN,
     n_rest: int = 0,
     by: Folds = "blocks",
+    measured: Sequence[BoolArray] = (),
 ) -> RefinedModel | None:
     """Refine a model on all rows of the records; None where it is noise-free, unstable or without a state.
 
@@ -430,15 +431,19 @@ def refined_model(
         least_gain: relative decrease of the error by a step below which it is the last.
         n_rest: rows of rest among those of the records, which hold no noise.
         by: "rows" where a few blows drive the records: even blocks hold all of an answer or nothing.
+        measured: (n_samples, n_outputs) a record, False where a sample was filled; none where all were measured.
     """
     scaling = channel_scaling(records)
     scaled = tuple(scaled_record(record, scaling) for record in filled(records))
     rows = tuple(record.complete_rows() for record in records)
-    data = OutputError(records=scaled, rows=rows, blocks=blocks_of(scaled, _even_blocks(scaled)))
+    blocks = blocks_of(scaled, _even_blocks(scaled))
+    data = OutputError(records=scaled, rows=rows, blocks=blocks, measured=tuple(measured))
     first = starting_parameters(scaled_model(start, scaling), data) if start.order else nothing_yet(data)
     if first is None or n_steps == 0:
         return None
-    power = sum(float(np.square(record.outputs[there]).sum()) for record, there in zip(scaled, rows, strict=True))
+    power = sum(
+        float(np.square(record.outputs[there]).sum()) for record, there in zip(scaled, data.counted, strict=True)
+    )
     if first.error <= NOISE_FREE**2 * power:
         return None
     weights = np.eye(start.n_outputs)
@@ -473,7 +478,7 @@ def refined_model(
         scaling=scaling,
         weights=weights,
         whiteness_ratio=ratio,
-        n_rows=sum(int(there.sum()) for there in rows) - n_rest,
+        n_rest=n_rest,
         n_parts=n_parts,
         record_scale=record_scale,
         at_rest=np.zeros((len(records), start.n_inputs)),
@@ -528,13 +533,13 @@ def _weighted(
     """
     weights, whole = np.eye(step.layout.n_outputs), np.ones(len(data.records))
     for _ in range(WEIGHTINGS):
-        variance = step.linear.squared_errors
-        if variance.max() == 0.0:
+        if step.linear.squared_errors.max() == 0.0:
             break
         if len(data.records) > 1:
             step, data, size = _alike(step, data)
             whole = whole * size
-            variance = step.linear.squared_errors
+        counts = np.sum([there.sum(axis=0) for there in data.counted], axis=0)
+        variance = step.linear.squared_errors / np.maximum(counts, 1)
         largest = variance.max()
         weights = np.diag(largest / np.maximum(variance, SMALLEST_NOISE**2 * largest))
         step = refine(step, data, n_steps=UNTIL_STILL, least_gain=least_gain, weights=weights)[-1]
@@ -548,11 +553,11 @@ def _alike(step: RefinementStep, data: OutputError) -> tuple[RefinementStep, Out
     stands the noise of all, which after some rounds is as good as its own; few rows are no measure of their noise.
     """
     squares = np.array([np.nansum(error**2, axis=0) for error in errors_of(step, data)])
-    rows = np.maximum(1, [there.sum() for there in data.rows])
+    rows = np.maximum(1, [there.sum(axis=0) for there in data.counted])
     parameters = step.parameters
     moves = parameters.states.any(axis=1) * (1 + parameters.is_pair).sum() / squares.shape[1]
-    taken = np.minimum(rows, 1.0 + moves)[:, np.newaxis]
-    left = (squares + taken * squares.sum(axis=0) / max(1.0, (rows - taken[:, 0]).sum())) / rows[:, np.newaxis]
+    taken = np.minimum(rows, 1.0 + moves[:, np.newaxis])
+    left = (squares + taken * squares.sum(axis=0) / np.maximum(1.0, (rows - taken).sum(axis=0))) / rows
     of_each = np.maximum(left, SMALLEST_NOISE**2 * left.max())
     noise = np.exp(0.5 * np.median(np.log(of_each), axis=1))
     size = noise / np.exp(np.log(noise).mean())
@@ -567,4 +572,7 @@ def _alike(step: RefinementStep, data: OutputError) -> tuple[RefinementStep, Out
 
 def whiteness_ratio(step: RefinementStep, data: OutputError) -> float:
     """Of what the free run leaves of all rows; nan where it leaves nothing."""
-    return whiteness(centred(errors_of(step, data)), n_lags=WHITENESS_LAGS, n_fitted=0).ratio
+    errors = errors_of(step, data)
+    if data.measured:
+        return whiteness_of_each(errors, n_lags=WHITENESS_LAGS)
+    return whiteness(centred(errors), n_lags=WHITENESS_LAGS, n_fitted=0).ratio

@@ -22,7 +22,7 @@ from modal.estimation.fits import model_runs
 from modal.estimation.free_run import ModalForm, ModalRecursion, free_runs, initial_state
 from modal.modes.mode import Choice
 from modal.preparation.quick_model import QuickModel, best_model, observer_markov
-from okid.arrays import TINY, BoolArray, FloatArray
+from okid.arrays import BoolArray, FloatArray
 from okid.markov import MarkovParameters
 from okid.record import Record
 from okid.rows import usable_rows
@@ -31,8 +31,6 @@ from okid.scaling import channel_scaling
 LEAST_ROWS = 0.75
 """Share of the rows that gaps must leave at that order; below it they are filled."""
 FIRST_RIDGE = 1e-3
-MOST_FILLED = 0.5
-"""Fill again where no more was filled than this share: each turn leaves about so much of what is wrong."""
 FAR_MORE = 2.0
 """Let outputs that are measured so many times as often as another tell its poles."""
 NEIGHBOURS = 6
@@ -98,46 +96,29 @@ def fill_where_needed(records: Sequence[Record]) -> Filling:
     return Filling(records=filled, measured=measured, choices=(choice,), warnings=(warning,))
 
 
-def refilled(
-    records: Sequence[Record], measured: Sequence[BoolArray], model: Realisation
-) -> tuple[tuple[Record, ...], float]:
-    """The records with filled samples as a model fitted to them makes them, with what it leaves of those beside.
-
-    Filled and fitted in turns, the model becomes the likeliest of the samples that were measured: these are the two
-    halves of an EM step (Dempster, Laird, Rubin, J. Royal Statistical Society B 39, 1977, 1-38).
+def refilled(records: Sequence[Record], measured: Sequence[BoolArray], model: Realisation) -> tuple[Record, ...]:
+    """The records with filled samples as a driven model makes them, with what it leaves of those beside.
 
     Args:
-        records: that the model was fitted to.
+        records: with all outputs that are to be filled.
         measured: (n_samples, n_outputs) a record, False where a sample was filled, or is missing still.
-        model: without inputs nothing is filled again.
-
-    Returns:
-        The records, and by how much the filled samples move, root mean square, over what the model leaves of the
-        measured ones, the most of all outputs; 0 where nothing was filled, or more than half.
+        model: of the samples that were measured.
     """
     filled = [np.isfinite(record.outputs) & ~there for record, there in zip(records, measured, strict=True)]
-    share = sum(int(own.sum()) for own in filled) / sum(record.outputs.size for record in records)
-    if not records[0].n_inputs or not 0.0 < share <= MOST_FILLED:
-        return tuple(records), 0.0
     left = model_runs(replace(model, K=None), records).left
     runs = [record.outputs - errors for record, errors in zip(records, left, strict=True)]
     told = [there & np.isfinite(record.outputs) for record, there in zip(records, measured, strict=True)]
     gaps = [replace(one, outputs=np.where(own, one.outputs, np.nan)) for one, own in zip(records, told, strict=True)]
     bridged = _bridged(gaps, runs)
-    again = tuple(
+    return tuple(
         replace(record, outputs=np.where(own, new.outputs, record.outputs))
         for record, own, new in zip(records, filled, bridged, strict=True)
     )
-    change = [new.outputs - old.outputs for new, old in zip(again, records, strict=True)]
-    moved, noise = _mean_square(change, filled), _mean_square(left, told)
-    return again, float(np.sqrt(np.max(moved / np.maximum(noise, TINY))))
 
 
-def _mean_square(values: Sequence[FloatArray], rows: Sequence[BoolArray]) -> FloatArray:
-    """(n_outputs,) over the samples that count."""
-    sums = [np.square(np.where(own, one, 0.0)).sum(axis=0) for own, one in zip(rows, values, strict=True)]
-    counts = [own.sum(axis=0) for own in rows]
-    return np.asarray(np.sum(sums, axis=0) / np.maximum(1, np.sum(counts, axis=0)), dtype=np.float64)
+def holds_filled(records: Sequence[Record], measured: Sequence[BoolArray]) -> bool:
+    """Whether some sample was filled: it is there, and was not measured."""
+    return any((np.isfinite(record.outputs) & ~own).any() for record, own in zip(records, measured, strict=True))
 
 
 def _whole_rows(records: Sequence[Record]) -> tuple[float, int]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel
+from modal.preparation.filling import holds_filled
 from modal.verdict.excitation import answer_from_rest
 from modal.verdict.judgement import doubted
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
@@ -38,8 +39,7 @@ def told_where_measured(
         left: (n_samples, n_outputs) a record, what the model's free run leaves.
         measured: the same shape, False where a sample was filled.
     """
-    filled = any((np.isfinite(record.outputs) & ~own).any() for record, own in zip(records, measured, strict=True))
-    if not filled or not records[0].n_inputs or not modes.system:
+    if not holds_filled(records, measured) or not records[0].n_inputs or not modes.system:
         return modes
     there = [own & np.isfinite(errors) for own, errors in zip(measured, left, strict=True)]
     gained, share, counts = _gained(modes, records, left, there)
