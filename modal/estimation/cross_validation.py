@@ -181,6 +181,9 @@ class Ground(Displayed):
     power: FloatArray
     n_lags: int
     by: Folds
+    measured: tuple[
+        BoolArray, ...
+    ]  # [stretch] (n_rows, n_outputs), False where a sample was filled; none where all were
     # what was computed so far, so that a search may ask for the same again
     grams: dict[tuple[int, int], LagGram]  # [observer order, fold]
     decompositions: dict[tuple[int, float, int], tuple[int, HankelDecomposition] | None]  # [observer, ridge, fold]
@@ -192,8 +195,11 @@ def markov_lags(n_inputs: int, n_outputs: int) -> int:
     return int(np.clip(800 / np.sqrt(max(1, n_inputs) * n_outputs), 120, 400))
 
 
-def prepare_ground(records: Sequence[Record], by: Folds = "blocks") -> Ground:
-    """Folds, scaled channels and bridged gaps, once for all candidates; `records` are of one system, means removed."""
+def prepare_ground(records: Sequence[Record], by: Folds = "blocks", *, measured: Sequence[BoolArray] = ()) -> Ground:
+    """Folds, scaled channels and bridged gaps, once for all candidates; `records` are of one system, means removed.
+
+    What was filled, (n_samples, n_outputs) of each record False in `measured`, trains observers and scores nothing.
+    """
     scaling = channel_scaling(records)
     folds = folds_of(records, by)
     whole = tuple(scaled_record(record, scaling) for record in filled(records))
@@ -206,6 +212,7 @@ def prepare_ground(records: Sequence[Record], by: Folds = "blocks") -> Ground:
         complete = [there & ~alone for there, alone in zip(complete, _alone(scaled, stretches), strict=True)]
     counted = tuple(tuple(one.held_out(fold) for one in stretches) for fold in folds)
     held_out = tuple(tuple(rows & there for rows, there in zip(fold, complete, strict=True)) for fold in counted)
+    own = tuple(measured[one.record][one.first : one.last] for one in stretches) if measured else ()
     return Ground(
         scaled=scaled,
         held_out=held_out,
@@ -216,10 +223,11 @@ def prepare_ground(records: Sequence[Record], by: Folds = "blocks") -> Ground:
         ),
         first_rows=tuple(one.first for one in stretches),
         by=by,
+        measured=own,
         records=tuple(records),
         scaling=scaling,
         folds=folds,
-        power=np.array([_held_out_power(scaled, fold) for fold in held_out]),
+        power=np.array([_held_out_power(scaled, _samples(fold, own)) for fold in held_out]),
         n_lags=markov_lags(records[0].n_inputs, records[0].n_outputs),
         grams={},
         decompositions={},
@@ -267,9 +275,19 @@ def scaled_model(realisation: Realisation, scaling: ChannelScaling) -> Realisati
 
 
 def _held_out_power(scaled: Sequence[Record], fold: Sequence[BoolArray]) -> FloatArray:
-    held = np.vstack([record.outputs[rows] for record, rows in zip(scaled, fold, strict=True)])
-    power: FloatArray = np.square(held).sum(axis=0)
+    power: FloatArray = np.sum(
+        [
+            np.square(record.outputs[rows] if rows.ndim == 1 else np.where(rows, record.outputs, 0.0)).sum(axis=0)
+            for record, rows in zip(scaled, fold, strict=True)
+        ],
+        axis=0,
+    )
     return np.maximum(power, np.finfo(np.float64).tiny)
+
+
+def _samples(rows: Sequence[BoolArray], measured: Sequence[BoolArray]) -> Sequence[BoolArray]:
+    """(n_rows,) a stretch that count; (n_rows, n_outputs) where samples were filled, which do not."""
+    return [own[:, np.newaxis] & there for own, there in zip(rows, measured, strict=True)] if measured else rows
 
 
 def training_gram(ground: Ground, observer_order: int, fold: int) -> LagGram:
@@ -453,7 +471,8 @@ def _block_errors(ground: Ground, decomposition: HankelDecomposition, model_orde
     form = _form(decomposition, model_order)
     if form is None:
         return None
-    each = zip(ground.scaled, ground.trained[fold], ground.held_out[fold], ground.blocks[fold], strict=True)
+    held_out = _samples(ground.held_out[fold], ground.measured)
+    each = zip(ground.scaled, ground.trained[fold], held_out, ground.blocks[fold], strict=True)
     return np.concatenate([block_errors(form, *one) for one in each if one[-1]])
 
 

@@ -362,7 +362,7 @@ def block_errors(
         model: from `modal_form`.
         record: nothing missing (see `filled`).
         training: (n_samples,) rows that the initial state may look at.
-        held_out: (n_samples,) rows that count.
+        held_out: (n_samples,) rows that count, or (n_samples, n_outputs).
         blocks: (first, one past last) row of each; none of their rows trains.
     """
     recursion, left = _left_from_rest(model, record)
@@ -377,7 +377,7 @@ def block_errors(
         missed[: len(alive)] -= alive
         np.subtract(missed, level, out=missed)
         counted = held_out[first:last]
-        kept = missed if counted.all() else missed[counted]
+        kept = missed if counted.all() else missed[counted] if counted.ndim == 1 else np.where(counted, missed, 0.0)
         errors[i] = np.einsum("ij,ij->j", kept, kept)
     return errors
 

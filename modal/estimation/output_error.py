@@ -116,11 +116,13 @@ class Sums:
         outputs: which.
         gram: (size, size) products of all signals.
         inverse_factor: (n_kept, n_regressors) W with W'W = (Phi' Phi)^-1 on the directions kept.
+        parts: (n_blocks, n, n) of each block's own regressors and outputs, over all rows that count.
     """
 
     outputs: tuple[int, ...]
     gram: FloatArray
     inverse_factor: FloatArray
+    parts: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -146,7 +148,6 @@ class RefinementStep:
         layout: of all signals.
         blocks: of the Gram matrices.
         sums: over the training rows, of outputs that are measured together.
-        parts: (n_blocks, n, n) of each block's own regressors and outputs, over all rows that count.
         error: weighted sum of squares over the training rows.
     """
 
@@ -155,7 +156,6 @@ class RefinementStep:
     layout: SignalLayout
     blocks: tuple[Block, ...]
     sums: tuple[Sums, ...]
-    parts: FloatArray
     error: float
 
     @property
@@ -165,14 +165,16 @@ class RefinementStep:
 
     def block_errors(self, chosen: Sequence[int]) -> FloatArray:
         """(n_chosen, n_outputs) squared error of the model on these blocks."""
-        phi = self.layout.alone.regressors
-        out = slice(phi.stop, None)
+        phi, coefficients = self.layout.alone.regressors, self.linear.coefficients
         errors = np.empty((len(chosen), self.layout.n_outputs))
-        for k, i in enumerate(chosen):
-            gram = self.parts[i]
-            theta = self.linear.coefficients[self.layout.places(self.blocks[i].record)[phi]]
-            cross = gram[phi, out]
-            errors[k] = np.diag(gram[out, out]) - (theta * (2.0 * cross - gram[phi, phi] @ theta)).sum(axis=0)
+        for one in self.sums:
+            seen = list(one.outputs)
+            out = [phi.stop + i for i in seen]
+            for k, i in enumerate(chosen):
+                gram = one.parts[i]
+                theta = coefficients[self.layout.places(self.blocks[i].record)[phi]][:, seen]
+                cross = gram[phi][:, out]
+                errors[k, seen] = gram[out, out] - (theta * (2.0 * cross - gram[phi, phi] @ theta)).sum(axis=0)
         return np.maximum(errors, 0.0)
 
 
@@ -252,15 +254,15 @@ def step_at(
     layout, whole, parts = sums_over(rows=data.rows)
     sums = []
     for outputs in data.together:
-        gram = whole
+        gram, own_parts = whole, parts
         if data.measured:  # over the fewer rows, those in which they were measured or the others
             own = [counted[:, outputs[0]] for counted in data.counted]
             others = [rows & ~there for rows, there in zip(data.rows, own, strict=True)]
             fewer = sum(map(np.count_nonzero, others)) <= sum(map(np.count_nonzero, own))
-            gram = whole - sums_over(rows=others)[1] if fewer else sums_over(rows=own)[1]
-        sums.append(
-            Sums(outputs=outputs, gram=gram, inverse_factor=_inverse_factor(gram[layout.regressors, layout.regressors]))
-        )
+            _, gram, own_parts = sums_over(rows=others if fewer else own)
+            gram, own_parts = (whole - gram, parts - own_parts) if fewer else (gram, own_parts)
+        factor = _inverse_factor(gram[layout.regressors, layout.regressors])
+        sums.append(Sums(outputs=outputs, gram=gram, inverse_factor=factor, parts=own_parts))
     linear = linear_part(layout, sums)
     return RefinementStep(
         parameters=parameters,
@@ -268,7 +270,6 @@ def step_at(
         layout=layout,
         blocks=data.blocks,
         sums=tuple(sums),
-        parts=parts,
         error=float((weights * linear.error_products).sum()),
     )
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from modal.estimation.cross_validation import WITHIN, Folds, Ground, Trial, hankel_shape, make_trials, prepare_ground
 from modal.preparation.steps import checked_parts
-from okid.arrays import FloatArray, real_number, whole_number
+from okid.arrays import BoolArray, FloatArray, real_number, whole_number
 from okid.display import Displayed
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
@@ -144,6 +144,7 @@ def choose_orders(
     ridge: float | Literal["auto"] = "auto",
     order: int | Literal["auto"] = "auto",
     folds: Folds = "blocks",
+    measured: Sequence[BoolArray] = (),
     progress: Callable[[float], None] = lambda _: None,
 ) -> OrderChoice:
     """Choose observer order, ridge and model order together, by the error of a free run on held-out rows.
@@ -156,10 +157,12 @@ def choose_orders(
         ridge: relative to the unit diagonal of the Gram matrix of the scaled channels, or "auto".
         order: number of states, or "auto".
         folds: "blocks" of rows are held out, or every third of the "rows" (where a few blows drive the records).
+        measured: (n_samples, n_outputs) a record, False where a sample was filled, which scores nothing.
         progress: called with the share done.
 
     Raises:
-        InvalidDataError: records that do not belong together, or an argument outside its range.
+        InvalidDataError: records that do not belong together, `measured` of other shapes, or an argument outside its
+            range.
         InsufficientDataError: a channel that never moves, records that are too short, or no stable candidate.
 
     Example:
@@ -176,7 +179,22 @@ def choose_orders(
     """
     given = given_orders(observer_order, ridge, order)
     parts = checked_parts(as_records(records))
-    found = search(parts, observer_order=given[0], ridge=given[1], model_order=given[2], folds=folds, progress=progress)
+    if measured and [one.outputs.shape for one in parts] != [own.shape for own in measured]:
+        raise InvalidDataError(
+            f"measured must say of each output sample of each record whether it was measured, {len(parts)} arrays of "
+            f"{', '.join(str(one.outputs.shape) for one in parts)}, but holds {len(measured)} of "
+            f"{', '.join(str(own.shape) for own in measured)}; give them in the order of the records, whose inputs "
+            "must not be missing."
+        )
+    found = search(
+        parts,
+        observer_order=given[0],
+        ridge=given[1],
+        model_order=given[2],
+        folds=folds,
+        measured=measured,
+        progress=progress,
+    )
     return OrderChoice(
         observer_order=found.chosen.observer_order,
         ridge=found.chosen.ridge,
@@ -214,6 +232,7 @@ def search(
     ridge: float | None = None,
     model_order: int | None = None,
     folds: Folds = "blocks",
+    measured: Sequence[BoolArray] = (),
     progress: Callable[[float], None] = lambda _: None,
 ) -> Search:
     """Choose observer order, ridge and model order together; a given one is kept.
@@ -224,6 +243,7 @@ def search(
         ridge: likewise.
         model_order: likewise.
         folds: which rows are held out.
+        measured: as for `choose_orders`.
         progress: called with the share done.
 
     Raises:
@@ -231,7 +251,7 @@ def search(
             stable model.
     """
     limits = search_limits(records, observer_order=observer_order, ridge=ridge, model_order=model_order)
-    ground = prepare_ground(records, folds)
+    ground = prepare_ground(records, folds, measured=measured)
     if model_order is not None:
         _check_model_order(model_order, ground)
     every_fold = tuple(range(len(ground.folds)))

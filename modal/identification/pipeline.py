@@ -252,12 +252,15 @@ def _with_delays(
             kind=kind_found.kind,
             mend=mend,
         )
+        filled = several[0].n_inputs > 0 and holds_filled(preparation.records, preparation.measured)
+        noise_free = noise_free or ("samples that were filled hold no noise" if filled else "")
         found = choose_orders(
             preparation.records,
             observer_order=observer_order,
             ridge=ridge,
             order=order,
             folds=_folds(kind_found),
+            measured=preparation.measured if filled else (),
             progress=lambda done: tell("choosing observer, ridge and model order on held-out rows", 0.05 + 0.2 * done),
         ).evidence
         if refinement == "auto" and several[0].n_inputs:
@@ -266,11 +269,6 @@ def _with_delays(
         # a few blows are no stationary input, of which the test could be asked
         acting = early_inputs(several, preparation.input_delay, preparation.records[0].dt)
         suspected = kind_found.kind == "driven" and feedback_p_value(acting) < FALSE_ALARMS
-        filled = several[0].n_inputs and holds_filled(preparation.records, preparation.measured)
-        if filled:
-            noise_free = noise_free or "samples that were filled hold no noise"
-            if refinement == "auto":  # rows kept aside were filled too, and do not tell when to stop
-                found = replace(found, chosen=replace(found.chosen, refinement_steps=MOST_STEPS))
         taken, final = fit_all_rows(
             preparation.records,
             found,
@@ -284,7 +282,8 @@ def _with_delays(
         if filled:
             again = refilled(preparation.records, preparation.measured, final.realisation)
             preparation = replace(preparation, records=again)
-        asked = refinement == "auto" and kind_found.kind == "driven" and not suspected
+        # a filter of the noise needs every sample, as measured
+        asked = refinement == "auto" and kind_found.kind == "driven" and not suspected and not filled
         white, final = _in_white(preparation.records, taken, final, asked=asked, grows=order == "auto", tell=tell)
         return _identified(
             several, kind_found, preparation, taken, final=final, wanted=found.chosen, white=white, tell=tell
@@ -336,6 +335,7 @@ def _identified(
     stands beside it.
     """
     prepared = preparation.records
+    is_filled = holds_filled(prepared, preparation.measured)
     asked = prepared if white is None else white.records
     searched = found if white is None else white.found
     n_rest = preparation.n_rest
@@ -357,6 +357,7 @@ def _identified(
         refined=final.realisation,
         past=0 if final.noise is None else final.noise.past,
         grown="all" if white is not None else "half" if searched.chosen.weak_modes else "",
+        measured=preparation.measured if is_filled and prepared[0].n_inputs else (),
     )
     if final.refined is not None and white is None:
         final = replace(final, refined=told_at_rest(final.refined, preparation.at_rest))

@@ -98,7 +98,7 @@ def output_error_data(ground: Ground) -> OutputError:
         blocks = blocks_by_turns(ground.scaled, N_TURNS, first_rows=ground.first_rows)
     else:
         blocks = blocks_of(ground.scaled, ground.blocks)
-    return OutputError(records=ground.scaled, rows=rows, blocks=blocks)
+    return OutputError(records=ground.scaled, rows=rows, blocks=blocks, measured=ground.measured)
 
 
 def refined_search(found: Search, *, progress: Callable[[float], None] = lambda _: None) -> Search:
@@ -134,9 +134,12 @@ def refined_search(found: Search, *, progress: Callable[[float], None] = lambda 
         refined[*observer, n] = _trials(shop, (*observer, n), hopeless=HOPELESS * best)
     trials = [*pursued, *(trial for row in refined.values() for trial in row)]
     everything = sorted((*trials, *found.trials), key=lambda t: (t.error, t.model_order))
+    candidates = everything
+    if found.ground.measured:  # what was filled, by a model of all rows, tells observers of those that are held out
+        candidates = trials = [trial for trial in everything if trial.refinement_steps == MOST_STEPS]
     if not trials:
         return found
-    chosen = _chosen(everything, lambda n: _estimation_share(found.ground, n))
+    chosen = _chosen(candidates, lambda n: _estimation_share(found.ground, n))
     if found.ground.by == "rows":  # a fold that went astray late is no reason to leave all rows half-way
         chosen = replace(chosen, refinement_steps=MOST_STEPS)
     elif len(orders) > 1 and chosen.refinement_steps == MOST_STEPS:

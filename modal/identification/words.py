@@ -159,6 +159,11 @@ def _refinement(found: Search) -> tuple[Choice, ...]:
         value, why = "none", f"data kept aside fit no better by it: {compared}"
     elif found.ground.by == "rows":
         value, why = "to convergence", f"output error; too few blows to stop earlier by data kept aside: {compared}"
+    elif found.ground.measured:
+        value, why = (
+            "to convergence",
+            f"output error of what was measured; what was filled says nothing of when to stop: {compared}",
+        )
     elif chosen.refinement_steps == MOST_STEPS:
         value, why = "to convergence", f"output error; no step made data kept aside fit worse: {compared}"
     else:

@@ -59,6 +59,7 @@ def repeat(
     refined: Realisation | None = None,
     past: int = 0,
     grown: Grown = "",
+    measured: Sequence[BoolArray] = (),
 ) -> Reruns:
     """Identify again from halves of the data, with another observer and with other model orders.
 
@@ -78,6 +79,7 @@ def repeat(
         past: samples whose canonical variates the model started from, where it did; its reruns do, too.
         grown: how many modes may be found in what others leave, as some of the model were: reruns start with so many
             less, and find them so again, or from a cut of all: the one that a refinement takes further counts.
+        measured: (n_samples, n_outputs) a record, False where a sample was filled: refinements leave it out.
     """
     scaling = channel_scaling(records)
     if past:
@@ -100,7 +102,7 @@ def repeat(
         blocks = tuple(replace(block, label=block.label // 2) for block in blocks_by_turns(records, 4))
     else:
         blocks = blocks_of(records, [[runs_of(rows) for rows in half] for half in (first_half, second_half)])
-    again = _refinement(records, scaling, blocks, refinement_steps)
+    again = _refinement(records, scaling, blocks, refinement_steps, measured)
     for half, (label, gram, unseen) in enumerate(
         (("first half", one, second_half), ("second half", whole - one, first_half))
     ):
@@ -168,10 +170,15 @@ class _Refinement:
 
 
 def _refinement(
-    records: Sequence[Record], scaling: ChannelScaling, blocks: tuple[Block, ...], n_steps: int
+    records: Sequence[Record],
+    scaling: ChannelScaling,
+    blocks: tuple[Block, ...],
+    n_steps: int,
+    measured: Sequence[BoolArray],
 ) -> _Refinement:
     scaled = tuple(scaled_record(record, scaling) for record in filled(records))
-    data = OutputError(records=scaled, rows=tuple(record.complete_rows() for record in records), blocks=blocks)
+    rows = tuple(record.complete_rows() for record in records)
+    data = OutputError(records=scaled, rows=rows, blocks=blocks, measured=tuple(measured))
     return _Refinement(scaling=scaling, data=data, n_steps=n_steps if records[0].n_inputs else 0)
 
 
