@@ -15,14 +15,14 @@ others have sums of their own, and all of these add up.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Protocol
 
 import numpy as np
 import scipy
 
 from modal.estimation.free_run import moving_inputs
-from modal.estimation.modal_states import NONE, Block, ModalParameters, SignalLayout, signal_grams
+from modal.estimation.modal_states import NONE, Block, ModalParameters, SignalLayout
+from modal.estimation.signal_sums import signal_grams_over
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 
@@ -248,21 +248,26 @@ def step_at(
     """Run the model through the records and solve for its linear part."""
     weights = np.eye(data.records[0].n_outputs) if weights is None else weights
     n_direct = data.records[0].n_inputs if data.n_direct is None else data.n_direct
-    sums_over = partial(
-        signal_grams, parameters, data.records, blocks=data.blocks, n_direct=n_direct, held_out=held_out
+    together = data.together
+    choices: list[Sequence[BoolArray]] = [data.rows]
+    fewer: list[bool] = []
+    for outputs in together if data.measured else ():  # over the fewer rows, those in which they were measured or not
+        own = [counted[:, outputs[0]] for counted in data.counted]
+        others = [rows & ~there for rows, there in zip(data.rows, own, strict=True)]
+        fewer.append(sum(map(np.count_nonzero, others)) <= sum(map(np.count_nonzero, own)))
+        choices.append(others if fewer[-1] else own)
+    layout, (every, *found) = signal_grams_over(
+        parameters, data.records, choices, data.blocks, n_direct=n_direct, held_out=held_out
     )
-    layout, whole, parts = sums_over(rows=data.rows)
-    sums = []
-    for outputs in data.together:
-        gram, own_parts = whole, parts
-        if data.measured:  # over the fewer rows, those in which they were measured or the others
-            own = [counted[:, outputs[0]] for counted in data.counted]
-            others = [rows & ~there for rows, there in zip(data.rows, own, strict=True)]
-            fewer = sum(map(np.count_nonzero, others)) <= sum(map(np.count_nonzero, own))
-            _, gram, own_parts = sums_over(rows=others if fewer else own)
-            gram, own_parts = (whole - gram, parts - own_parts) if fewer else (gram, own_parts)
-        factor = _inverse_factor(gram[layout.regressors, layout.regressors])
-        sums.append(Sums(outputs=outputs, gram=gram, inverse_factor=factor, parts=own_parts))
+    if data.measured:
+        found = [
+            (every[0] - one[0], every[1] - one[1]) if less else one for one, less in zip(found, fewer, strict=True)
+        ]
+    sums = [
+        Sums(outputs=outputs, gram=gram, inverse_factor=_inverse_factor(gram[phi, phi]), parts=parts)
+        for phi in (layout.regressors,)
+        for outputs, (gram, parts) in zip(together, found or [every], strict=True)
+    ]
     linear = linear_part(layout, sums)
     return RefinementStep(
         parameters=parameters,

@@ -26,8 +26,9 @@ from era.state_recursion import PoleRecursion
 from modal.estimation.feedback import inputs_made_by
 from modal.estimation.free_run import powers_of
 from modal.estimation.modal_parameters import errors_of
-from modal.estimation.modal_states import CHUNK, signal_grams, signals_of
+from modal.estimation.modal_states import CHUNK, signals_of
 from modal.estimation.output_error import LinearPart, PolesAndParticipations, RefinementStep, step_equations
+from modal.estimation.signal_sums import signal_grams
 from modal.identification.refined_search import RefinedModel
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import Mode, Uncertainty

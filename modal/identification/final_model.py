@@ -58,6 +58,7 @@ from okid.errors import IdentificationError, InsufficientDataError, NumericalErr
 from okid.markov import MarkovParameters, recover_markov
 from okid.observer import ObserverFit, fit_observer
 from okid.record import Record
+from okid.residuals import NOT_WHITE
 
 Feedback = Literal["none", "harmless", "biasing"]
 
@@ -106,6 +107,11 @@ class FinalModel:
     def leaves_white_noise(self) -> bool:
         """Whether white noise on the outputs is all there is."""
         return self.noise is None and self.refined is not None and self.refined.leaves_white_noise
+
+    @property
+    def leaves_nearly_white(self) -> bool:
+        """Whether what the refined model leaves of the samples that were measured is not called coloured."""
+        return self.refined is not None and not self.refined.whiteness_ratio > NOT_WHITE
 
 
 def fit_all_rows(
@@ -448,6 +454,7 @@ def _refined(
         model,
         refined,
         noise_free=noise_free or ("rows of rest, which hold no noise, stand before the record" if n_rest else ""),
+        filled_from=measured,
         feedback=feedback,
         order_given=order_given,
         progress=progress,
@@ -466,6 +473,7 @@ def _with_noise(
     refined: RefinedModel | None,
     *,
     noise_free: str = "",
+    filled_from: Sequence[BoolArray] = (),
     feedback: bool = False,
     order_given: bool = False,
     progress: Callable[[float], None],
@@ -480,6 +488,8 @@ def _with_noise(
     made = replace(fitted, cut=model, refined=refined, gain=gain, realisation=base, feedback=found)
     if base.K is None:
         return made
+    if filled_from and made.leaves_nearly_white:
+        noise_free = "nearly white where it was measured, and samples that were filled hold none"
     if noise_free:
         return replace(made, why=noise_free)
     evidence = base if base.factors is not None else model
@@ -522,7 +532,7 @@ def _stable(decomposition: HankelDecomposition, order: int) -> Realisation | Non
 
 
 def with_deviations(
-    model: ModalModel, final: FinalModel, records: Sequence[Record]
+    model: ModalModel, final: FinalModel, records: Sequence[Record], *, measured_share: float = 1.0
 ) -> tuple[ModalModel, Uncertainty, FloatArray, FloatArray]:
     """The modes with the standard deviations of frequency, damping ratio and shape, and all of them together.
 
@@ -530,6 +540,8 @@ def with_deviations(
         model: modes of the final model's realisation.
         final: the final model.
         records: that it was fitted to.
+        measured_share: of their samples. What was filled holds no noise, and counts in all deviations but those of a
+            refinement: both the noise and one over the number of samples are too small by this share.
 
     Returns:
         The modes, their deviations, (n_modes,) how many times larger those of a mode are than noise that is understood
@@ -545,6 +557,8 @@ def with_deviations(
         )
     else:
         known = _propagated(model, final, records)
+    if final.noise is not None or final.refined is None:
+        known = known.wider(1.0 / measured_share)
     known = _no_finer_than_rounding(known, model, final.realisation)
     modes = tuple(
         replace(

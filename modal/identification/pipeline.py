@@ -253,7 +253,6 @@ def _with_delays(
             mend=mend,
         )
         filled = several[0].n_inputs > 0 and holds_filled(preparation.records, preparation.measured)
-        noise_free = noise_free or ("samples that were filled hold no noise" if filled else "")
         found = choose_orders(
             preparation.records,
             observer_order=observer_order,
@@ -269,21 +268,27 @@ def _with_delays(
         # a few blows are no stationary input, of which the test could be asked
         acting = early_inputs(several, preparation.input_delay, preparation.records[0].dt)
         suspected = kind_found.kind == "driven" and feedback_p_value(acting) < FALSE_ALARMS
-        taken, final = fit_all_rows(
-            preparation.records,
-            found,
-            n_rest=sum(preparation.n_rest),
-            noise_free=noise_free,
-            refinement=refinement,
-            feedback=suspected,
-            measured=preparation.measured if filled else (),
-            progress=lambda done: tell("fitting all rows", FITTING + (FITTED - FITTING) * done),
-        )
+
+        def fitted(records: Sequence[Record]) -> tuple[Search, FinalModel]:
+            return fit_all_rows(
+                records,
+                found,
+                n_rest=sum(preparation.n_rest),
+                noise_free=noise_free,
+                refinement=refinement,
+                feedback=suspected,
+                measured=preparation.measured if filled else (),
+                progress=lambda done: tell("fitting all rows", FITTING + (FITTED - FITTING) * done),
+            )
+
+        taken, final = fitted(preparation.records)
         if filled:
             again = refilled(preparation.records, preparation.measured, final.realisation)
             preparation = replace(preparation, records=again)
-        # a filter of the noise needs every sample, as measured
-        asked = refinement == "auto" and kind_found.kind == "driven" and not suspected and not filled
+            if not final.leaves_nearly_white:  # a model of the noise needs every sample
+                taken, final = fitted(again)
+        asked = refinement == "auto" and kind_found.kind == "driven" and not suspected
+        asked = asked and not (filled and final.leaves_nearly_white)
         white, final = _in_white(preparation.records, taken, final, asked=asked, grows=order == "auto", tell=tell)
         return _identified(
             several, kind_found, preparation, taken, final=final, wanted=found.chosen, white=white, tell=tell
@@ -357,11 +362,13 @@ def _identified(
         refined=final.realisation,
         past=0 if final.noise is None else final.noise.past,
         grown="all" if white is not None else "half" if searched.chosen.weak_modes else "",
-        measured=preparation.measured if is_filled and prepared[0].n_inputs else (),
+        measured=preparation.measured if is_filled and white is None and prepared[0].n_inputs else (),
     )
     if final.refined is not None and white is None:
         final = replace(final, refined=told_at_rest(final.refined, preparation.at_rest))
-    unjudged, uncertainty, inflation, moved = with_deviations(extract_modes(model), final, asked)
+    unjudged, uncertainty, inflation, moved = with_deviations(
+        extract_modes(model), final, asked, measured_share=preparation.measured_share
+    )
     left = runs.left
     left_there = left if white is None else model_runs(replace(model, K=None), asked).left
     lines = between_lines(unjudged, asked, left_there, output_scale=reruns.output_scale)

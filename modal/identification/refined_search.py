@@ -134,10 +134,8 @@ def refined_search(found: Search, *, progress: Callable[[float], None] = lambda 
         refined[*observer, n] = _trials(shop, (*observer, n), hopeless=HOPELESS * best)
     trials = [*pursued, *(trial for row in refined.values() for trial in row)]
     everything = sorted((*trials, *found.trials), key=lambda t: (t.error, t.model_order))
-    candidates = everything
-    if found.ground.measured:  # what was filled, by a model of all rows, tells observers of those that are held out
-        candidates = trials = [trial for trial in everything if trial.refinement_steps == MOST_STEPS]
-    if not trials:
+    candidates = _comparable(everything, found.ground)
+    if not trials or not candidates:
         return found
     chosen = _chosen(candidates, lambda n: _estimation_share(found.ground, n))
     if found.ground.by == "rows":  # a fold that went astray late is no reason to leave all rows half-way
@@ -313,6 +311,11 @@ def _start(shop: _Workshop, candidate: tuple[int, float, int], fold: int) -> Ref
     found = training_decomposition(shop.ground, p, ridge, fold, shop.largest_order)
     realisation = None if found is None else corner(found, n)
     return None if realisation is None else starting_parameters(realisation, shop.data, held_out=fold)
+
+
+def _comparable(trials: Sequence[Trial], ground: Ground) -> list[Trial]:
+    """All; where samples were filled, by a model of all rows, those that do not know by them what was held out."""
+    return [trial for trial in trials if trial.refinement_steps == MOST_STEPS or not ground.measured]
 
 
 def _chosen(trials: Sequence[Trial], share: Callable[[int], float] = lambda _order: 0.0) -> Trial:

@@ -11,7 +11,7 @@ Beside them what a step of an identification decided and why, and how well a mod
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
@@ -253,6 +253,17 @@ class Uncertainty(Displayed):
             set_(self, "mass_std", frozen_with_gaps(self.mass_std, name="mass_std", shape=(n_modes, None, None)))
         if not self.degrees_of_freedom > 0:
             raise InvalidDataError(f"degrees_of_freedom must be positive, but is {self.degrees_of_freedom}.")
+
+    def wider(self, times: float) -> "Uncertainty":
+        """With every deviation so many times as large."""
+        return replace(
+            self,
+            frequency_std=times * self.frequency_std,
+            damping_ratio_std=times * self.damping_ratio_std,
+            shape_std=times * self.shape_std,
+            markov_std=times * self.markov_std,
+            mass_std=None if self.mass_std is None else times * self.mass_std,
+        )
 
     def interval_factor(self, level: float = 0.95) -> float:
         """Half the width of the symmetric interval that covers with probability `level`, in standard deviations.

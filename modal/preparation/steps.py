@@ -76,6 +76,13 @@ class Preparation:
     n_rest: tuple[int, ...]
     at_rest: FloatArray
 
+    @property
+    def measured_share(self) -> float:
+        """Of the output samples that are there: the others were filled."""
+        there = [np.isfinite(record.outputs) for record in self.records]
+        own = sum(int((one & seen).sum()) for one, seen in zip(there, self.measured, strict=True))
+        return own / max(1, sum(int(one.sum()) for one in there))
+
     def complete(self, realisation: Realisation) -> Realisation:
         """The model fitted to `records` with integrators and delays as states, driven by the inputs as measured.
 

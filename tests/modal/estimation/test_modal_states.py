@@ -9,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from textbook_output_error import differences, loop_sensitivities, loop_signals, loop_states, random_loop_model
 
-from modal.estimation import modal_states
-from modal.estimation.modal_states import NONE, ModalParameters, SignalLayout, blocks_of, signal_grams
+from modal.estimation import modal_states, signal_sums
+from modal.estimation.modal_states import NONE, ModalParameters, SignalLayout, blocks_of
+from modal.estimation.signal_sums import signal_grams
 from okid.record import Record
 
 
@@ -60,8 +61,8 @@ CASES = {
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_gram_matrices_are_sums_over_the_samples_of_a_loop(monkeypatch, case, chunk):
     monkeypatch.setattr(modal_states, "CHUNK", chunk)
-    monkeypatch.setattr(modal_states, "FEWEST_ROWS", 1)
-    monkeypatch.setattr(modal_states, "FEWEST_SIGNALS", 1)
+    monkeypatch.setattr(signal_sums, "FEWEST_ROWS", 1)
+    monkeypatch.setattr(signal_sums, "FEWEST_SIGNALS", 1)
     model, records, rows = a_case(5, **case)
     blocks = blocks_of(records, even_folds(records, 2))
     layout, _, parts = signal_grams(parameters_of(model), records, rows, blocks, n_direct=records[0].n_inputs)
