@@ -9,7 +9,6 @@ ERA.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
 from typing import Literal
 
 import numpy as np
@@ -19,42 +18,30 @@ from era.gain import GainEstimate, estimate_gain
 from era.realisation import Realisation
 from modal.estimation.cross_validation import (
     Folds,
-    Ground,
     Trial,
     corner,
     hankel_limits,
     markov_lags,
-    prepare_ground,
-    scaled_model,
     training_decomposition,
-    trial_of,
 )
 from modal.estimation.fits import fit_of, model_runs
 from modal.estimation.free_run import modal_form, one_step_predictor
-from modal.estimation.modal_parameters import in_data_states, in_units, starting_parameters
-from modal.estimation.output_error import OutputError, RefinementStep, refine
-from modal.estimation.prediction_error import NOISE_FREE
+from modal.estimation.modal_parameters import in_data_states
 from modal.estimation.propagation import propagated
-from modal.estimation.whitening import all_filtered, common_filter, stretches
 from modal.identification.covariance import NOT_UNDERSTOOD, judged_deviations
 from modal.identification.information import innovation_uncertainty
 from modal.identification.noise_model import NoiseModel, noise_model
 from modal.identification.order_search import Search
 from modal.identification.refined_search import (
-    MOST_STEPS,
-    STANDS_STILL,
     RefinedModel,
-    growing,
-    output_error_data,
     refined_model,
-    whiteness_ratio,
 )
 from modal.modes.extraction import extract_modes
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel, Uncertainty
 from modal.verdict.repeatability import ORDER_SHARES
 from okid.arrays import BoolArray, FloatArray
-from okid.errors import IdentificationError, InsufficientDataError, NumericalError, quiet
+from okid.errors import InsufficientDataError, NumericalError, quiet
 from okid.markov import MarkovParameters, recover_markov
 from okid.observer import ObserverFit, fit_observer
 from okid.record import Record
@@ -64,11 +51,6 @@ Feedback = Literal["none", "harmless", "biasing"]
 
 BROKEN_PROMISE = 0.1
 """Fit to all rows below that to held-out rows from which on a model is not taken."""
-COLOURED = 0.5
-"""Look behind the filter that makes the noise white where that leaves less than this share of its power."""
-NEARLY_WHITE = 5.0
-"""Take a filter that leaves a whiteness ratio of no more: in simulated red noise, with modes missing that spoil the
-filter, it was at most 3.4; with hidden forces at least 10, with springs that are not linear at least 200."""
 MOST_MADE = 8
 """Models made of all rows before the first one is taken for want of a better."""
 LARGEST_ORDER = 64
@@ -149,7 +131,7 @@ def fit_all_rows(
     fallback: tuple[Search, FinalModel] | None = None
     n_made = 0
     for trial in (found.chosen, *found.trials):
-        trial, fitted = _with_observer(records, trial, found.trials, done)  # noqa: PLW2901
+        trial, fitted = with_observer(records, trial, found.trials, done)  # noqa: PLW2901
         model = None if fitted is None else _stable(fitted.decomposition, trial.model_order - 2 * trial.weak_modes)
         if fitted is None or model is None:
             continue
@@ -171,7 +153,7 @@ def fit_all_rows(
                     progress=progress,
                 )
                 made = made[0], refined
-            if not model.n_inputs or _keeps_promise(made[1].realisation, records, trial):
+            if not model.n_inputs or keeps_promise(made[1].realisation, records, trial):
                 return made
             fallback = fallback or made
         n_made += 1
@@ -185,179 +167,7 @@ def fit_all_rows(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class White:
-    """Records filtered until their noise is white.
-
-    Attributes:
-        records: (n_samples - p, ...) filtered inputs and outputs; without those too short for the filter.
-        filter: (p + 1,) a(q), monic.
-        share: of the noise's power that is left behind it.
-        found: the search; chosen is the model that stands, scored on the held-out rows of the records as they came.
-    """
-
-    records: tuple[Record, ...]
-    filter: FloatArray
-    share: float
-    found: Search
-
-
-def in_white(
-    records: Sequence[Record],
-    found: Search,
-    final: FinalModel,
-    *,
-    grows: bool,
-    progress: Callable[[float], None] = lambda _share: None,
-) -> tuple[White, FinalModel] | None:
-    """The records in which the noise of the model is white, and the model that is refined there, by its weak modes too.
-
-    Where noise is loud at other frequencies, weak modes count for nothing in the records as they came; whoever asks for
-    modes, asks the filtered ones. There the model is refined, and weak modes are added as long as held-out rows gain; a
-    likeliest model of system and noise that misses none stays as it is.
-
-    None where the noise is nearly white as it is, and where no short filter makes it so: what is left is no noise of
-    sensors then, but the answers to hidden forces, or what is not linear.
-
-    Args:
-        records: as the search saw them.
-        found: by the search, with the trial that was taken.
-        final: its model of all rows.
-        grows: whether modes may be added.
-        progress: called with the share done.
-    """
-    rows = [record.complete_rows() for record in records]
-    runs = model_runs(replace(final.realisation, K=None), records)
-    a, share = common_filter(stretches(runs.left, rows))
-    if share > COLOURED or not (fit_of(runs.records, runs.simulated) < 1.0 - NOISE_FREE).all():
-        return None
-    white = all_filtered(records, a)
-    if not white:
-        return None
-    judged = White(records=white, filter=a, share=share, found=found)
-    best = _better_in_white(white, found, final.realisation, grows=grows)
-    if best is None:
-        return None
-    progress(0.5)
-    trial, as_it_came = best
-    if final.noise is not None and not trial.weak_modes:  # the likeliest estimate as it is
-        return judged, final
-
-    def own(done: float) -> None:
-        progress(0.5 + 0.5 * done)
-
-    model = _refined_in_white(judged, records, final, trial, progress=own)
-    return None if model is None else (replace(judged, found=replace(found, chosen=as_it_came)), model)
-
-
-def _better_in_white(
-    white: Sequence[Record], found: Search, model: Realisation, *, grows: bool
-) -> tuple[Trial, Trial] | None:
-    """The trial of the model refined, and grown, behind the filter: there, and on the records as they came."""
-    try:
-        here, there = found.ground, prepare_ground(white, found.ground.by)
-    except IdentificationError:
-        return None
-    data = output_error_data(here), output_error_data(there)
-    chosen = replace(found.chosen, refinement_steps=MOST_STEPS, weak_modes=0, answers=0)
-    own = _of_folds(model, there, data[1])
-    start = _trial(chosen, own, there, data[1])
-    if start is None:
-        return None
-    best, ratio = None, np.inf
-    for trial, steps in chain([(start, own)], growing(there, data[1], own, start) if grows else ()):
-        before, ratio = ratio, whiteness_ratio(steps[0], data[1])
-        if not ratio < max(before, NEARLY_WHITE):  # more modes make what is not linear no whiter
-            break
-        as_it_came = _trial(trial, _carried(steps, there, here, data[0]), here, data[0])
-        if ratio <= NEARLY_WHITE and as_it_came is not None:
-            best = trial, replace(as_it_came, weak_modes=found.chosen.weak_modes + trial.weak_modes)
-    return best
-
-
-def _refined_in_white(
-    behind: White,
-    records: Sequence[Record],
-    final: FinalModel,
-    trial: Trial,
-    *,
-    progress: Callable[[float], None],
-) -> FinalModel | None:
-    """The final model refined, and grown, in all rows behind the filter; its gain is that of the records as they came.
-
-    None where that is worse than on its folds.
-    """
-    white, found = behind.records, behind.found
-    _, fitted = _with_observer(white, found.chosen, found.trials, {})
-    if fitted is None:
-        return None
-    cut = _largest(fitted, trial.model_order)
-    refined = refined_model(
-        white,
-        final.realisation,
-        trial.refinement_steps,
-        weak_modes=trial.weak_modes,
-        answers=trial.answers,
-        evidence=cut,
-    )
-    if refined is None or not _keeps_promise(refined.realisation, white, trial):
-        return None
-    model = _with_noise(white, fitted, cut, refined, progress=progress)
-    gain = estimate_gain(model.realisation, records)  # innovations are those of the filtered records, their gain is not
-    return replace(
-        model,
-        observer=final.observer,
-        markov=final.markov,
-        gain=gain,
-        realisation=replace(model.realisation, K=gain.gain),
-    )
-
-
-def _of_folds(model: Realisation, ground: Ground, data: OutputError) -> list[RefinementStep]:
-    """The model of all rows refined in the training rows of each fold; none where it cannot run."""
-    steps = []
-    for fold in range(len(ground.folds)):
-        start = starting_parameters(scaled_model(model, ground.scaling), data, held_out=fold)
-        if start is None:
-            return []
-        steps.append(refine(start, data, held_out=fold, n_steps=MOST_STEPS, least_gain=STANDS_STILL)[-1])
-    return steps
-
-
-def _carried(steps: Sequence[RefinementStep], ground: Ground, other: Ground, data: OutputError) -> list[RefinementStep]:
-    """The folds' models from one ground on the data of another; none where one cannot run."""
-    nothing = Realisation(np.empty((0, 0)), np.empty((0, 0)), np.empty((0, 0)), np.empty((0, 0)), ground.records[0].dt)
-    carried = []
-    for fold, step in enumerate(steps):
-        model = in_units(step, nothing, ground.scaling)
-        start = starting_parameters(scaled_model(model, other.scaling), data, held_out=fold)
-        if start is None:
-            return []
-        carried.append(start)
-    return carried
-
-
-def _trial(like: Trial, steps: Sequence[RefinementStep], ground: Ground, data: OutputError) -> Trial | None:
-    """The trial of a model of each fold; None without them."""
-    if not steps:
-        return None
-    errors = [
-        step.block_errors([i for i, block in enumerate(data.blocks) if block.label == fold])
-        for fold, step in enumerate(steps)
-    ]
-    return trial_of(
-        like.observer_order,
-        like.ridge,
-        steps[0].order,
-        errors,
-        ground.power,
-        refinement_steps=like.refinement_steps,
-        weak_modes=like.weak_modes,
-        answers=like.answers,
-    )
-
-
-def _with_observer(
+def with_observer(
     records: Sequence[Record], trial: Trial, others: Sequence[Trial], done: dict[tuple[int, float], FinalModel | None]
 ) -> tuple[Trial, FinalModel | None]:
     """The trial and its observer on all rows, added to those `done`; None where it cannot be recovered.
@@ -384,7 +194,7 @@ def _starts(found: Search, trial: Trial, model: Realisation, *, of_folds: bool) 
             yield in_data_states(start, start, found.ground.scaling)
 
 
-def _keeps_promise(model: Realisation, records: Sequence[Record], trial: Trial) -> bool:
+def keeps_promise(model: Realisation, records: Sequence[Record], trial: Trial) -> bool:
     """Whether the model explains the rows that it was fitted to about as well as its folds explained held-out rows.
 
     A fit to all rows that is worse than that has gone astray: the observer's recovery nearly diverged on them.
@@ -443,12 +253,12 @@ def _refined(
             trial.refinement_steps,
             weak_modes=trial.weak_modes,
             answers=trial.answers,
-            evidence=_largest(fitted, trial.model_order),
+            evidence=largest_model(fitted, trial.model_order),
             n_rest=n_rest,
             by=by,
             measured=measured,
         )
-    return _with_noise(
+    return with_noise(
         records,
         fitted,
         model,
@@ -461,12 +271,12 @@ def _refined(
     )
 
 
-def _largest(fitted: FinalModel, order: int) -> Realisation:
+def largest_model(fitted: FinalModel, order: int) -> Realisation:
     """The realisation of this order, or of the largest that there is."""
     return realise_from(fitted.decomposition, min(order, fitted.decomposition.rank, fitted.decomposition.max_order))
 
 
-def _with_noise(
+def with_noise(
     records: Sequence[Record],
     fitted: FinalModel,
     model: Realisation,

@@ -17,13 +17,14 @@ from modal.estimation.cross_validation import WITHIN, Folds, Trial
 from modal.estimation.feedback import FALSE_ALARMS, feedback_p_value
 from modal.estimation.fits import measure_fit, model_runs
 from modal.identification.covariance import told_at_rest
-from modal.identification.final_model import FinalModel, White, fit_all_rows, in_white, with_deviations
+from modal.identification.final_model import FinalModel, fit_all_rows, with_deviations
 from modal.identification.more_modes import with_undriven
 from modal.identification.order_search import Search, choose_orders, given_orders
 from modal.identification.refined_search import MOST_STEPS, refined_search
 from modal.identification.response_road import identify_response
 from modal.identification.result import Identification
 from modal.identification.set_ups import has_absent_outputs, identify_setups
+from modal.identification.white_noise import White, in_white
 from modal.identification.words import (
     explain_filter,
     explain_gain,
@@ -63,7 +64,7 @@ from modal.verdict.judgement import judge
 from modal.verdict.probability import FILTER_EDGE
 from modal.verdict.repeatability import repeat
 from modal.verdict.ring_down import RingDownAnswer, told_of_ring_down
-from okid.arrays import FloatArray, listener, one_blas_thread, whole_number
+from okid.arrays import BoolArray, FloatArray, listener, one_blas_thread, whole_number
 from okid.errors import IdentificationError, InvalidDataError
 from okid.excitation import check_excitation
 from okid.frequency_response import FrequencyResponse
@@ -253,13 +254,14 @@ def _with_delays(
             mend=mend,
         )
         filled = several[0].n_inputs > 0 and holds_filled(preparation.records, preparation.measured)
+        measured = preparation.measured if filled else ()
         found = choose_orders(
             preparation.records,
             observer_order=observer_order,
             ridge=ridge,
             order=order,
             folds=_folds(kind_found),
-            measured=preparation.measured if filled else (),
+            measured=measured,
             progress=lambda done: tell("choosing observer, ridge and model order on held-out rows", 0.05 + 0.2 * done),
         ).evidence
         if refinement == "auto" and several[0].n_inputs:
@@ -277,7 +279,7 @@ def _with_delays(
                 noise_free=noise_free,
                 refinement=refinement,
                 feedback=suspected,
-                measured=preparation.measured if filled else (),
+                measured=measured,
                 progress=lambda done: tell("fitting all rows", FITTING + (FITTED - FITTING) * done),
             )
 
@@ -285,11 +287,19 @@ def _with_delays(
         if filled:
             again = refilled(preparation.records, preparation.measured, final.realisation)
             preparation = replace(preparation, records=again)
-            if not final.leaves_nearly_white:  # a model of the noise needs every sample
+            if not final.leaves_nearly_white:  # a model of its noise needs every sample, as the model leaves it
                 taken, final = fitted(again)
         asked = refinement == "auto" and kind_found.kind == "driven" and not suspected
         asked = asked and not (filled and final.leaves_nearly_white)
-        white, final = _in_white(preparation.records, taken, final, asked=asked, grows=order == "auto", tell=tell)
+        white, final = _in_white(
+            preparation.records,
+            taken,
+            final,
+            asked=asked,
+            grows=order == "auto",
+            measured=measured,
+            tell=tell,
+        )
         return _identified(
             several, kind_found, preparation, taken, final=final, wanted=found.chosen, white=white, tell=tell
         )
@@ -302,6 +312,7 @@ def _in_white(
     *,
     asked: bool,
     grows: bool,
+    measured: Sequence[BoolArray],
     tell: Callable[[str, float], None],
 ) -> tuple[White | None, FinalModel]:
     """Where the noise of the model is white, if that was asked for and can be told, and the model that stands there."""
@@ -312,7 +323,7 @@ def _in_white(
     def own(done: float) -> None:
         tell(words, FITTED + (WHITENED - FITTED) * done)
 
-    again = in_white(records, found, final, grows=grows, progress=own)
+    again = in_white(records, found, final, grows=grows, measured=measured, progress=own)
     return (None, final) if again is None else again
 
 
@@ -340,7 +351,7 @@ def _identified(
     stands beside it.
     """
     prepared = preparation.records
-    is_filled = holds_filled(prepared, preparation.measured)
+    filled = prepared[0].n_inputs > 0 and holds_filled(prepared, preparation.measured)
     asked = prepared if white is None else white.records
     searched = found if white is None else white.found
     n_rest = preparation.n_rest
@@ -362,7 +373,7 @@ def _identified(
         refined=final.realisation,
         past=0 if final.noise is None else final.noise.past,
         grown="all" if white is not None else "half" if searched.chosen.weak_modes else "",
-        measured=preparation.measured if is_filled and white is None and prepared[0].n_inputs else (),
+        measured=() if not filled else preparation.measured if white is None else white.measured,
     )
     if final.refined is not None and white is None:
         final = replace(final, refined=told_at_rest(final.refined, preparation.at_rest))
