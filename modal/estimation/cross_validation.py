@@ -83,14 +83,44 @@ def is_long(records: Sequence[Record]) -> bool:
 
 
 Folds = Literal["blocks", "rows"]
-"""Hold out blocks of rows, or every third row: what is struck once has one answer, of which each fold needs a part."""
+"""Hold out blocks of rows, or rows by turns: what is struck once has one answer, of which each fold needs a part."""
 N_TURNS = 3
 WHOLE = -1
 """Stands for the fold that holds nothing out."""
 
 
-def folds_of(records: Sequence[Record], folds: Folds = "blocks") -> tuple[tuple[BoolArray, ...], ...]:
-    """[fold][record] held-out rows: every third one, or blocks.
+def turns_of(measured: Sequence[BoolArray], wanted: int, n_parts: int | None = None) -> int:
+    """The least number of turns, from the wanted one on, in which every output was measured in each of them.
+
+    What a slow sensor measures at every third row has one turn of three: its modes would not be found in the others.
+
+    Args:
+        measured: (n_samples, n_outputs) a record; none where all were.
+        wanted: number of turns.
+        n_parts: of as many turns each, in which it was measured; each turn is one unless given.
+
+    Example:
+        >>> turns_of([np.arange(100)[:, np.newaxis] % 3 == 0], 3), turns_of([np.ones((100, 2), dtype=bool)], 4, 2)
+        (4, 4)
+    """
+    for n in range(wanted, 4 * wanted) if measured else ():
+        parts = n if n_parts is None else n_parts
+        if n % parts:
+            continue
+        labels = [np.arange(len(own)) % n * parts // n for own in measured]
+        counts = sum(
+            np.array([np.bincount(label[there], minlength=parts) for there in own.T])
+            for own, label in zip(measured, labels, strict=True)
+        )
+        if (2 * parts * np.min(counts, axis=1) >= np.sum(counts, axis=1)).all():  # half of an even share
+            return n
+    return wanted
+
+
+def folds_of(
+    records: Sequence[Record], folds: Folds = "blocks", n_turns: int = N_TURNS
+) -> tuple[tuple[BoolArray, ...], ...]:
+    """[fold][record] held-out rows: by turns, or blocks.
 
     Whole records where there are enough that can stand for each other (a block of a sweep cannot stand for another
     one, but neither can a record stand for the only one in which an input moves); else ten blocks a record, or ten
@@ -98,7 +128,7 @@ def folds_of(records: Sequence[Record], folds: Folds = "blocks") -> tuple[tuple[
     """
     lengths = [record.n_samples for record in records]
     if folds == "rows":
-        return tuple(tuple(np.arange(n) % N_TURNS == turn for n in lengths) for turn in range(N_TURNS))
+        return tuple(tuple(np.arange(n) % n_turns == turn for n in lengths) for turn in range(n_turns))
     longest = max(lengths)
     if len(records) >= MANY_RECORDS and min(lengths) >= ALIKE * longest and not is_long(records):
         whole = whole_record_folds(records)
@@ -201,7 +231,7 @@ def prepare_ground(records: Sequence[Record], by: Folds = "blocks", *, measured:
     What was filled, (n_samples, n_outputs) of each record False in `measured`, trains observers and scores nothing.
     """
     scaling = channel_scaling(records)
-    folds = folds_of(records, by)
+    folds = folds_of(records, by, turns_of(measured, N_TURNS))
     whole = tuple(scaled_record(record, scaling) for record in filled(records))
     if not records[0].n_inputs:
         whole = tuple(driven_by_outputs(record) for record in whole)
@@ -209,7 +239,9 @@ def prepare_ground(records: Sequence[Record], by: Folds = "blocks", *, measured:
     scaled = moving_inputs([whole[one.record].samples(one.first, one.last) for one in stretches])
     complete = [records[one.record].complete_rows()[one.first : one.last] for one in stretches]
     if by == "rows":
-        complete = [there & ~alone for there, alone in zip(complete, _alone(scaled, stretches), strict=True)]
+        complete = [
+            there & ~alone for there, alone in zip(complete, _alone(scaled, stretches, len(folds)), strict=True)
+        ]
     counted = tuple(tuple(one.held_out(fold) for one in stretches) for fold in folds)
     held_out = tuple(tuple(rows & there for rows, there in zip(fold, complete, strict=True)) for fold in counted)
     own = tuple(measured[one.record][one.first : one.last] for one in stretches) if measured else ()
@@ -235,12 +267,12 @@ def prepare_ground(records: Sequence[Record], by: Folds = "blocks", *, measured:
     )
 
 
-def _alone(scaled: Sequence[Record], stretches: Sequence[Stretch]) -> list[BoolArray]:
+def _alone(scaled: Sequence[Record], stretches: Sequence[Stretch], n_turns: int) -> list[BoolArray]:
     """(n_rows,) a stretch, True where an input acts whose rows have one turn: held out, nothing tells what it does."""
     alone = [np.zeros(record.n_samples, dtype=np.bool_) for record in scaled]
     for j in range(scaled[0].n_inputs):
         acts = [np.flatnonzero(record.inputs[:, j]) for record in scaled]
-        turns = np.concatenate([(own + one.first) % N_TURNS for own, one in zip(acts, stretches, strict=True)])
+        turns = np.concatenate([(own + one.first) % n_turns for own, one in zip(acts, stretches, strict=True)])
         if np.unique(turns).size == 1:
             for mask, own in zip(alone, acts, strict=True):
                 mask[own] = True
@@ -300,7 +332,8 @@ def training_gram(ground: Ground, observer_order: int, fold: int) -> LagGram:
         if ground.by == "rows":
             if (observer_order, WHOLE) not in ground.grams:
                 ground.grams[observer_order, WHOLE] = lag_gram(ground.records, observer_order, scaling=ground.scaling)
-            held_out = turn_gram(ground.records, observer_order, scaling=ground.scaling, n_turns=N_TURNS, turn=fold)
+            n_turns = len(ground.folds)
+            held_out = turn_gram(ground.records, observer_order, scaling=ground.scaling, n_turns=n_turns, turn=fold)
             made = ground.grams[observer_order, WHOLE] - held_out
         else:
             rows = [~held_out for held_out in ground.folds[fold]]

@@ -51,7 +51,7 @@ from modal.preparation.delay import (
     late_and_early,
 )
 from modal.preparation.faults import Mended, free_of_clipping, mended
-from modal.preparation.filling import holds_filled, refilled
+from modal.preparation.filling import refilled
 from modal.preparation.integrators import driven_by_inputs
 from modal.preparation.kind import GivenKind, KindFound, find_kind, given_kind
 from modal.preparation.quick_model import left_alone_and_together
@@ -253,8 +253,7 @@ def _with_delays(
             kind=kind_found.kind,
             mend=mend,
         )
-        filled = several[0].n_inputs > 0 and holds_filled(preparation.records, preparation.measured)
-        measured = preparation.measured if filled else ()
+        measured = preparation.filled_from
         found = choose_orders(
             preparation.records,
             observer_order=observer_order,
@@ -284,13 +283,13 @@ def _with_delays(
             )
 
         taken, final = fitted(preparation.records)
-        if filled:
+        if measured:
             again = refilled(preparation.records, preparation.measured, final.realisation)
             preparation = replace(preparation, records=again)
             if not final.leaves_nearly_white:  # a model of its noise needs every sample, as the model leaves it
                 taken, final = fitted(again)
         asked = refinement == "auto" and kind_found.kind == "driven" and not suspected
-        asked = asked and not (filled and final.leaves_nearly_white)
+        asked = asked and not (measured and final.leaves_nearly_white)
         white, final = _in_white(
             preparation.records,
             taken,
@@ -351,7 +350,6 @@ def _identified(
     stands beside it.
     """
     prepared = preparation.records
-    filled = prepared[0].n_inputs > 0 and holds_filled(prepared, preparation.measured)
     asked = prepared if white is None else white.records
     searched = found if white is None else white.found
     n_rest = preparation.n_rest
@@ -373,7 +371,7 @@ def _identified(
         refined=final.realisation,
         past=0 if final.noise is None else final.noise.past,
         grown="all" if white is not None else "half" if searched.chosen.weak_modes else "",
-        measured=() if not filled else preparation.measured if white is None else white.measured,
+        measured=preparation.filled_from if white is None else white.measured,
     )
     if final.refined is not None and white is None:
         final = replace(final, refined=told_at_rest(final.refined, preparation.at_rest))
@@ -394,8 +392,7 @@ def _identified(
         beyond=beyond_inputs(unjudged, asked, left_there, output_scale=reruns.output_scale)
         if kind.kind == "driven" and prepared[0].n_inputs and lines is None
         else None,
-        n_values=sum(int(np.isfinite(errors[n:]).all(axis=1).sum()) for errors, n in zip(left, n_rest, strict=True))
-        * model.n_outputs,
+        n_values=preparation.n_values,
         edge=FILTER_EDGE * 0.5 / prepared[0].dt if prepared[0].dt > 1.5 * records[0].dt else np.inf,
         fit=np.nan if prepared[0].n_inputs else fit.mean,
         missed=missed,
@@ -489,7 +486,11 @@ def _identified(
                 lines=lines,
                 modes=modes,
                 excitation=excitation if by_inputs else None,
-                residuals=residuals if innovations is None or not searched.chosen.grew else innovations,
+                residuals=None
+                if preparation.filled_from
+                else innovations
+                if searched.chosen.grew and innovations
+                else residuals,
                 found=searched,
             ),
             *records_apart(*left_alone_and_together(prepared, left)),

@@ -23,7 +23,6 @@ import numpy as np
 from era.realisation import Realisation
 from modal.estimation.cross_validation import (
     GAIN,
-    N_TURNS,
     Folds,
     Ground,
     Trial,
@@ -95,7 +94,7 @@ def output_error_data(ground: Ground) -> OutputError:
     """The scored stretches with their complete rows, cut into the blocks of the folds."""
     rows = tuple(held_out | trained for held_out, trained in zip(ground.held_out[0], ground.trained[0], strict=True))
     if ground.by == "rows":
-        blocks = blocks_by_turns(ground.scaled, N_TURNS, first_rows=ground.first_rows)
+        blocks = blocks_by_turns(ground.scaled, len(ground.folds), first_rows=ground.first_rows)
     else:
         blocks = blocks_of(ground.scaled, ground.blocks)
     return OutputError(records=ground.scaled, rows=rows, blocks=blocks, measured=ground.measured)

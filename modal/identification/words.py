@@ -235,12 +235,13 @@ def warnings_in_words(
     lines: BetweenLines | None,
     modes: ModalModel,
     excitation: Excitation | None,
-    residuals: ResidualCheck,
+    residuals: ResidualCheck | None,
     found: Search,
 ) -> tuple[str, ...]:
     """What the user must read before believing a number; empty when all is well.
 
-    The residuals are those of what the model came from: its observer, or itself where it grew mode by mode.
+    The residuals are those of what the model came from: its observer, or itself where it grew mode by mode; None where
+    samples were filled, by which both follow what filled them.
     """
     words = []
     driven = records[0].n_inputs > 0
@@ -294,9 +295,9 @@ def warnings_in_words(
     return (*words, *(() if excitation is None else _excitation_words(excitation)))
 
 
-def _what_follows(residuals: ResidualCheck, *, grew: bool) -> tuple[str, ...]:
+def _what_follows(residuals: ResidualCheck | None, *, grew: bool) -> tuple[str, ...]:
     """That what is left follows the inputs, where it does."""
-    if not residuals.input_correlation_ratio > FOLLOWS_INPUT:
+    if residuals is None or not residuals.input_correlation_ratio > FOLLOWS_INPUT:
         return ()
     what, why = "observer", "changes in time, or answers for longer than the observer looks back"
     if grew:

@@ -88,11 +88,13 @@ def fill_where_needed(records: Sequence[Record]) -> Filling:
         value=f"{100 * missing:.3g} % of the samples filled",
         reason=f"an observer of order {order} would find {100 * share:.2g} % of its rows whole; {how}",
     )
-    warning = (
-        f"{100 * missing:.3g} % of the output samples were missing and have been filled by a model of the rest, so the "
-        "fits look better, and what is uncertain looks more certain, than the measured samples alone allow; where a "
-        "record can be repeated, sample all channels together."
-    )
+    said = f"{100 * missing:.3g} % of the output samples were missing and have been filled by a model of the rest"
+    warning = f"{said}; modes and their deviations rest on the measured samples, residuals and pictures on all of them."
+    if not records[0].n_inputs:
+        warning = (
+            f"{said}, so the fits look better, and what is uncertain looks more certain, than the measured samples "
+            "alone allow; where a record can be repeated, sample all channels together."
+        )
     return Filling(records=filled, measured=measured, choices=(choice,), warnings=(warning,))
 
 

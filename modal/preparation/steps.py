@@ -27,7 +27,7 @@ from modal.preparation.drift import (
     without_drift,
 )
 from modal.preparation.faults import Mended, mended, no_finer_than_sensors
-from modal.preparation.filling import Filling, fill_where_needed
+from modal.preparation.filling import Filling, fill_where_needed, holds_filled
 from modal.preparation.integrators import choose_integrators, given_integrators, with_integrators
 from modal.preparation.kind import RecordKind, acts
 from modal.preparation.lines import MachineLines, machine_lines
@@ -75,6 +75,20 @@ class Preparation:
     measured: tuple[BoolArray, ...]
     n_rest: tuple[int, ...]
     at_rest: FloatArray
+
+    @property
+    def filled_from(self) -> tuple[BoolArray, ...]:
+        """`measured` where samples of driven outputs were filled, which tell nothing; else nothing."""
+        driven = self.records[0].n_inputs > 0
+        return self.measured if driven and holds_filled(self.records, self.measured) else ()
+
+    @property
+    def n_values(self) -> int:
+        """Output samples that a model is fitted to: in whole rows, or where they were measured; none of rest."""
+        there = self.filled_from or [
+            np.repeat(one.complete_rows()[:, np.newaxis], one.n_outputs, axis=1) for one in self.records
+        ]
+        return sum(int(own[n:].sum()) for own, n in zip(there, self.n_rest, strict=True))
 
     @property
     def measured_share(self) -> float:

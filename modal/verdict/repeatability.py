@@ -6,15 +6,24 @@ Halves are interleaved blocks, or pairs of rows that take turns: every second ro
 a pole as well, and a mode would be lost to its alias.
 """
 
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Literal
 
 import numpy as np
 
 from era.balanced import HankelDecomposition, decompose, realise_from
 from era.realisation import Realisation
-from modal.estimation.cross_validation import Folds, hankel_limits, markov_lags, scaled_model, scaled_record
+from modal.estimation.cross_validation import (
+    Folds,
+    hankel_limits,
+    markov_lags,
+    scaled_model,
+    scaled_record,
+    turns_of,
+)
 from modal.estimation.fits import model_runs
 from modal.estimation.free_run import filled
 from modal.estimation.modal_parameters import in_units, starting_parameters, with_weak_mode
@@ -86,9 +95,13 @@ def repeat(
         return _canonical_reruns(records, scaling, past, model_order)
     whole = lag_gram(records, observer_order, scaling=scaling)
     if folds == "rows":
-        first_half = tuple(np.arange(record.n_samples) % 4 < 2 for record in records)
-        pairs = (turn_gram(records, observer_order, scaling=scaling, n_turns=4, turn=turn) for turn in (0, 1))
-        one = next(pairs) + next(pairs)
+        n_turns = turns_of(measured, 4, 2)
+        first_half = tuple(2 * (np.arange(record.n_samples) % n_turns) < n_turns for record in records)
+        turns = (
+            turn_gram(records, observer_order, scaling=scaling, n_turns=n_turns, turn=turn)
+            for turn in range(n_turns // 2)
+        )
+        one = reduce(operator.add, turns)
     else:
         first_half = tuple(_every_second_block(record.n_samples) for record in records)
         one = lag_gram(records, observer_order, scaling=scaling, rows=first_half)
@@ -99,7 +112,8 @@ def repeat(
     runs = []
     second_half = tuple(~rows for rows in first_half)
     if folds == "rows":
-        blocks = tuple(replace(block, label=block.label // 2) for block in blocks_by_turns(records, 4))
+        halves = blocks_by_turns(records, n_turns)
+        blocks = tuple(replace(block, label=2 * block.label // n_turns) for block in halves)
     else:
         blocks = blocks_of(records, [[runs_of(rows) for rows in half] for half in (first_half, second_half)])
     again = _refinement(records, scaling, blocks, refinement_steps, measured)
