@@ -138,8 +138,8 @@ def _filled(records: Sequence[Record]) -> tuple[tuple[Record, ...], str]:
     tried = (None if markov is None else best_model(markov, records), _by_the_fuller(records))
     model = min((one for one in tried if one is not None), key=lambda one: one.error, default=None)
     if model is None:
-        zeros = tuple(np.zeros_like(record.outputs) for record in records)
-        return _bridged(records, zeros), "interpolated by the correlation of each output"
+        words = "by what others show where they were measured, and the correlation of what that leaves"
+        return _bridged(records, _beside_others(records)), words
     filled, rounds = _bridged(records, free_runs(model.form, records)), 1
     while rounds < 8:
         markov = observer_markov(filled)
@@ -152,6 +152,31 @@ def _filled(records: Sequence[Record]) -> tuple[tuple[Record, ...], str]:
             break
     words = f"filled by the free run of a model of the measured samples and what it left beside them, {rounds} rounds"
     return filled, words
+
+
+def _beside_others(records: Sequence[Record]) -> tuple[FloatArray, ...]:
+    """(n_samples, n_outputs) a record: each output by regression on those around that were measured where it was not.
+
+    An output interpolated by itself dies out in a long gap, and at a low rate shows each line once more at its images;
+    the others know which of them is true. Zero where no other was measured in most of the rows.
+    """
+    there = np.vstack([np.isfinite(record.outputs) for record in records])
+    alone = _bridged(records, tuple(np.zeros_like(record.outputs) for record in records))
+    runs = tuple(np.zeros_like(record.outputs) for record in records)
+    for i in np.flatnonzero(~there.all(axis=0)):
+        helpers = np.flatnonzero(there[~there[:, i]].mean(axis=0) >= LEAST_ROWS)
+        n_around = min(NEIGHBOURS, int(there[:, i].sum() // (8 * max(1, helpers.size))))
+        if not helpers.size or n_around < 1:
+            continue
+        around = [np.pad(record.outputs[:, helpers], ((n_around, n_around), (0, 0))) for record in alone]
+        rows = [np.lib.stride_tricks.sliding_window_view(one, 2 * n_around + 1, axis=0) for one in around]
+        columns = [one.reshape(len(one), -1) for one in rows]
+        wanted = np.concatenate([record.outputs[:, i] for record in records])
+        told = np.vstack(columns)[there[:, i]]
+        weights = np.linalg.lstsq(told, wanted[there[:, i]], rcond=FIRST_RIDGE)[0]
+        for run, one in zip(runs, columns, strict=True):
+            run[:, i] = one @ weights
+    return runs
 
 
 def _by_the_fuller(records: Sequence[Record]) -> QuickModel | None:

@@ -6,6 +6,9 @@ every half, and poles whose images fall together there share what nobody measure
 count filled samples as if they told the same. So a mode whose answer was mostly filled is asked once more in what was
 measured alone, by Schwarz's criterion: without it, all others free to take its part, the squared error must grow by
 more than its numbers cost; in each output by more than a shape does, or that output is none of its.
+
+Without inputs nothing but the outputs tells a line from its images, by the frequencies at which rows were measured: one
+that all outputs see at their own rates stands at each of them as well as at its own frequency.
 """
 
 from collections.abc import Sequence
@@ -23,6 +26,10 @@ from okid.record import Record
 
 MOSTLY = 0.45
 """Ask where more than this share of what a mode does was filled, each output in units of its noise."""
+ALIKE_SIZE = 2.0
+"""Take what is larger than so many times its image for the line itself."""
+RARE = 1e-3
+"""Let the rows that chance chooses show a line no more often."""
 ALIKE = 1e-9
 """Take columns for one where their products cannot be told apart below this share."""
 WHY = "most of what shows it was filled, and in the samples that were measured it may be chance"
@@ -31,7 +38,7 @@ WHY = "most of what shows it was filled, and in the samples that were measured i
 def told_where_measured(
     modes: ModalModel, records: Sequence[Record], left: Sequence[FloatArray], measured: Sequence[BoolArray]
 ) -> ModalModel:
-    """The modes, doubtful where what was measured does not tell them; as they are without inputs.
+    """The modes, doubtful where what was measured does not tell them, or not from each other.
 
     Args:
         modes: judged.
@@ -39,8 +46,10 @@ def told_where_measured(
         left: (n_samples, n_outputs) a record, what the model's free run leaves.
         measured: the same shape, False where a sample was filled.
     """
-    if not holds_filled(records, measured) or not records[0].n_inputs or not modes.system:
+    if not holds_filled(records, measured) or not modes.system:
         return modes
+    if not records[0].n_inputs:
+        return _told_of_images(modes, records, measured)
     there = [own & np.isfinite(errors) for own, errors in zip(measured, left, strict=True)]
     gained, share, counts = _gained(modes, records, left, there)
     told = []
@@ -50,6 +59,53 @@ def told_where_measured(
         shows = beyond > of_one * mode.participation.size * np.log(counts.sum())
         told.append(mode if shows or share[i] <= MOSTLY else doubted(mode, WHY))
     return replace(modes, modes=tuple(told))
+
+
+def _told_of_images(modes: ModalModel, records: Sequence[Record], measured: Sequence[BoolArray]) -> ModalModel:
+    """The modes, doubtful where they stand at the image of one of at least half their size."""
+    shifts = np.concatenate(
+        [
+            _lines(own[:, i]) / record.dt
+            for record, own in zip(records, measured, strict=True)
+            for i in range(own.shape[1])
+        ]
+    )
+    sizes, rate = _sizes(modes, records), 1.0 / records[0].dt
+    resolution = 2.0 / max(record.duration for record in records)
+    told = list(modes.modes)
+    certain = [i for i, mode in enumerate(told) if mode.verdict == "system"]
+    for i in certain:
+        for j in certain:
+            one, other = modes.modes[i], modes.modes[j]
+            width = resolution + sum(abs(mode.damping_ratio) * mode.frequency for mode in (one, other))
+            images = np.abs(np.concatenate([other.frequency + shifts, other.frequency - shifts]))
+            images = np.minimum(images % rate, rate - images % rate)
+            if i != j and sizes[i] <= ALIKE_SIZE * sizes[j] and (np.abs(images - one.frequency) <= width).any():
+                why = f"outputs measured in so different rows do not tell it from an image of {other.frequency:.4g} Hz"
+                told[i] = doubted(one, why)
+    return replace(modes, modes=tuple(told))
+
+
+def _lines(there: BoolArray) -> FloatArray:
+    """Frequencies [1 / sample] of turns in which rows were measured: more than chance makes, and nothing beside them."""
+    share, n = float(there.mean()), there.size
+    power = np.abs(np.fft.rfft((there - share) * np.hanning(n))) ** 2 / (0.375 * n)
+    beside = np.maximum(np.pad(power, (4, 0))[: power.size], np.pad(power, (0, 4))[4:])
+    least = share * (1.0 - share) * np.log(power.size / RARE)
+    return np.fft.rfftfreq(n)[(power > least) & (power > 100.0 * beside)]
+
+
+def _sizes(modes: ModalModel, records: Sequence[Record]) -> FloatArray:
+    """(n_modes,) power within the half-power bandwidth of each, every output over its own."""
+    sizes = np.zeros(len(modes.modes))
+    for record in records:
+        motion = record.outputs - record.outputs.mean(axis=0)
+        power = np.square(np.abs(np.fft.rfft(motion / np.maximum(motion.std(axis=0), TINY), axis=0))).sum(axis=1)
+        frequencies = np.fft.rfftfreq(record.n_samples, record.dt)
+        for i, mode in enumerate(modes.modes):
+            width = max(abs(mode.damping_ratio) * mode.frequency, 2.0 / record.duration)
+            sizes[i] += power[np.abs(frequencies - mode.frequency) <= width].sum()
+    return sizes
 
 
 def _gained(
