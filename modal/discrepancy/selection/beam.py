@@ -388,8 +388,10 @@ def search_effects(
     front, untried, cut = front or [root], np.inf, False
     for depth in range(max(len(node.effects) for node in front) - len(root.effects), MOST_EFFECTS):
         lowest = min(node.held_out_level for node in front)
-        if (depth > 0 and lowest <= AT_FLOOR) or (depth > 1 and lowest > FAR_ABOVE):
-            break  # of two none is near, and three are never firm
+        far = depth > 1 and lowest > FAR_ABOVE  # three are never firm: the best guess alone goes on
+        front = front[:1] if far else front
+        if (depth > 0 and lowest <= AT_FLOOR) or (far and not _worth_more(front[0], everything, root)):
+            break
         children: list[Node] = []
         hopeful: list[Node] = []
         here = np.inf
@@ -428,6 +430,16 @@ def search_effects(
     if cut:
         task.budget.refuse(untried)
     return tuple(everything)
+
+
+def _worth_more(best: Node, everything: Sequence[Node], root: Node) -> bool:
+    """Whether a third effect is sought beside two that are far above the floor: nothing else explains the data.
+
+    Two that explain nearly all of the gap are no chance: a zero and the first term of a law leave its next one, many
+    times the noise of a good circuit.
+    """
+    clear = best.held_out_level - 1.0 <= CLEAR * (root.held_out_level - 1.0)
+    return clear and not _explain(everything)
 
 
 def _laws_like(curves: Sequence[Node], task: Task) -> dict[str, Effect]:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from engine_records import experiment, nominal
 
+from modal.discrepancy import CATALOGUE
 from modal.discrepancy.diagnosis import calibrate, decide, diagnose, fit, screen
 from modal.discrepancy.noise.floor import noise_floor
 from okid.errors import InvalidDataError, NumericalError
@@ -263,3 +264,20 @@ def test_a_model_that_escapes_is_refused(records):
     wild = nominal().with_effect("cubic_stiffness", "element_0", k3=-1e7)
     with pytest.raises(NumericalError, match="grows without bound"):
         fit(wild, records[0])
+
+
+@pytest.mark.parametrize("k2", [60.0, 150.0])
+def test_a_zero_beside_a_cubic_spring_does_not_take_the_place_of_its_square(k2):
+    """The two leave hundreds of times the noise of a good circuit, and nearly nothing of the gap."""
+    fit, held_out, _ = experiment(
+        lambda d, v, t: 3.0 + 900.0 * d**3 + k2 * d**2, n_samples=400, levels=(3.0, 3.0, 3.0), noise=1e-3
+    )
+    keys = ("constant_force", "sensor_bias", "cubic_stiffness", "quadratic_stiffness", "quadratic_drag")
+    found = diagnose(nominal(), fit, held_out, catalogue={key: CATALOGUE[key] for key in keys})
+    values = {one.effect: one.parameters[0].value for one in found.findings}
+    assert {"cubic_stiffness", "quadratic_stiffness"} <= values.keys()
+    assert values["cubic_stiffness"] == pytest.approx(900.0, rel=0.01)
+    moved = values.get("sensor_bias", 0.0)  # the same law about another rest point
+    assert values["quadratic_stiffness"] - 3.0 * values["cubic_stiffness"] * moved == pytest.approx(k2, rel=0.03)
+    assert found.steps[-1].held_out_level < 1.2
+    assert found.status == "unresolved"  # three effects
