@@ -138,7 +138,7 @@ def _filled(records: Sequence[Record]) -> tuple[tuple[Record, ...], str]:
     tried = (None if markov is None else best_model(markov, records), _by_the_fuller(records))
     model = min((one for one in tried if one is not None), key=lambda one: one.error, default=None)
     if model is None:
-        words = "by what others show where they were measured, and the correlation of what that leaves"
+        words = "by what other outputs show where they were measured, the rest interpolated by its own correlation"
         return _bridged(records, _beside_others(records)), words
     filled, rounds = _bridged(records, free_runs(model.form, records)), 1
     while rounds < 8:
@@ -154,6 +154,20 @@ def _filled(records: Sequence[Record]) -> tuple[tuple[Record, ...], str]:
     return filled, words
 
 
+def measured_instead(there: BoolArray, i: int) -> list[int]:
+    """Outputs that were measured in most rows in which output i was not, and in most in which it was: these tell it.
+
+    Args:
+        there: (n_samples, n_outputs) True where an output was measured.
+        i: the output.
+    """
+    own = there[:, i]
+    if own.all() or not own.any():
+        return []
+    least = np.minimum(there[own].mean(axis=0), there[~own].mean(axis=0))
+    return np.flatnonzero(least >= LEAST_ROWS).tolist()
+
+
 def _beside_others(records: Sequence[Record]) -> tuple[FloatArray, ...]:
     """(n_samples, n_outputs) a record: each output by regression on those around that were measured where it was not.
 
@@ -164,9 +178,9 @@ def _beside_others(records: Sequence[Record]) -> tuple[FloatArray, ...]:
     alone = _bridged(records, tuple(np.zeros_like(record.outputs) for record in records))
     runs = tuple(np.zeros_like(record.outputs) for record in records)
     for i in np.flatnonzero(~there.all(axis=0)):
-        helpers = np.flatnonzero(there[~there[:, i]].mean(axis=0) >= LEAST_ROWS)
-        n_around = min(NEIGHBOURS, int(there[:, i].sum() // (8 * max(1, helpers.size))))
-        if not helpers.size or n_around < 1:
+        helpers = measured_instead(there, int(i))
+        n_around = min(NEIGHBOURS, int(there[:, i].sum() // (8 * max(1, len(helpers)))))
+        if not helpers or n_around < 1:
             continue
         around = [np.pad(record.outputs[:, helpers], ((n_around, n_around), (0, 0))) for record in alone]
         rows = [np.lib.stride_tricks.sliding_window_view(one, 2 * n_around + 1, axis=0) for one in around]
@@ -174,8 +188,10 @@ def _beside_others(records: Sequence[Record]) -> tuple[FloatArray, ...]:
         wanted = np.concatenate([record.outputs[:, i] for record in records])
         told = np.vstack(columns)[there[:, i]]
         weights = np.linalg.lstsq(told, wanted[there[:, i]], rcond=FIRST_RIDGE)[0]
-        for run, one in zip(runs, columns, strict=True):
+        for run, one, itself in zip(runs, columns, alone, strict=True):
             run[:, i] = one @ weights
+            for ends in (slice(0, n_around), slice(max(0, len(run) - n_around), None)):  # not all are around
+                run[ends, i] = itself.outputs[ends, i]
     return runs
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel
-from modal.preparation.filling import holds_filled
+from modal.preparation.filling import holds_filled, measured_instead
 from modal.verdict.excitation import answer_from_rest
 from modal.verdict.judgement import doubted
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
@@ -26,8 +26,8 @@ from okid.record import Record
 
 MOSTLY = 0.45
 """Ask where more than this share of what a mode does was filled, each output in units of its noise."""
-ALIKE_SIZE = 2.0
-"""Take what is larger than so many times its image for the line itself."""
+ALIKE_SIZE = 10.0
+"""Take what is larger than so many times its image for the line itself, and what decays faster for no image of it."""
 RARE = 1e-3
 """Let the rows that chance chooses show a line no more often."""
 ALIKE = 1e-9
@@ -62,32 +62,35 @@ def told_where_measured(
 
 
 def _told_of_images(modes: ModalModel, records: Sequence[Record], measured: Sequence[BoolArray]) -> ModalModel:
-    """The modes, doubtful where they stand at the image of one of at least half their size."""
-    shifts = np.concatenate(
-        [
-            _lines(own[:, i]) / record.dt
-            for record, own in zip(records, measured, strict=True)
-            for i in range(own.shape[1])
-        ]
-    )
+    """The modes, doubtful where they stand at the image of one that is not far smaller.
+
+    Outputs that others were measured instead of have no images: these know which line is the true one.
+    """
+    together = np.vstack(measured)
+    alone = [i for i in range(together.shape[1]) if not measured_instead(together, i)]
+    lines = [_lines(own[:, i]) / record.dt for record, own in zip(records, measured, strict=True) for i in alone]
+    if not lines:
+        return modes
+    shifts = np.concatenate(lines)
     sizes, rate = _sizes(modes, records), 1.0 / records[0].dt
     resolution = 2.0 / max(record.duration for record in records)
     told = list(modes.modes)
-    certain = [i for i, mode in enumerate(told) if mode.verdict == "system"]
-    for i in certain:
-        for j in certain:
-            one, other = modes.modes[i], modes.modes[j]
-            width = resolution + sum(abs(mode.damping_ratio) * mode.frequency for mode in (one, other))
+    decays = np.array([abs(mode.damping_ratio) * mode.frequency for mode in told])
+    for i, one in enumerate(modes.modes):
+        for j, other in enumerate(modes.modes):
+            alike = max(sizes[i] / sizes[j], decays[j] / decays[i]) <= ALIKE_SIZE  # an image decays as its line does
+            if i == j or one.verdict != "system" or other.verdict == "noise" or not alike:
+                continue
             images = np.abs(np.concatenate([other.frequency + shifts, other.frequency - shifts]))
             images = np.minimum(images % rate, rate - images % rate)
-            if i != j and sizes[i] <= ALIKE_SIZE * sizes[j] and (np.abs(images - one.frequency) <= width).any():
+            if (np.abs(images - one.frequency) <= resolution + 2.0 * decays[i]).any():
                 why = f"outputs measured in so different rows do not tell it from an image of {other.frequency:.4g} Hz"
                 told[i] = doubted(one, why)
     return replace(modes, modes=tuple(told))
 
 
 def _lines(there: BoolArray) -> FloatArray:
-    """Frequencies [1 / sample] of turns in which rows were measured: more than chance makes, and nothing beside them."""
+    """Frequencies [1 / sample] of the turns by which rows were measured: beyond chance, and nothing beside them."""
     share, n = float(there.mean()), there.size
     power = np.abs(np.fft.rfft((there - share) * np.hanning(n))) ** 2 / (0.375 * n)
     beside = np.maximum(np.pad(power, (4, 0))[: power.size], np.pad(power, (0, 4))[4:])

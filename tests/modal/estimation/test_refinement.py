@@ -140,6 +140,43 @@ def test_normal_matrix_is_that_of_the_projected_jacobian(kind):
     np.testing.assert_allclose(found.matrix, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
 
 
+@pytest.mark.parametrize("kind", ["two inputs, two records, real pole", "close pair, three outputs"])
+def test_outputs_count_where_each_was_measured(kind):
+    """Error, shapes, blocks, gradient and normal matrix are sums over outputs, each with rows of its own."""
+    rng, model, data = a_problem(6, kind, noise=0.2, missing=0.1, held_out=held_out_runs(kind))
+    model, q = disturbed(rng, model, 0.02), model.c.shape[0]
+    shares = np.array([0.9, 0.2, 0.2])[:q]  # few or many rows are missing; the last two are measured in the same
+    seen = [np.repeat(rng.random((record.n_samples, 1)), q, axis=1) < shares for record in data.records]
+    seen = [np.where(np.arange(q) == 0, rng.random((len(own), 1)) < 0.9, own) for own in seen]
+    data, weights = replace(data, measured=tuple(seen)), np.array([1.0, 3.0, 0.2])[:q]
+    step = step_at(parameters_of(model), data, held_out=0, weights=np.diag(weights))
+    inputs, outputs, rows = arrays_of(data, 0)
+    own = [[there & mask[:, o] for there, mask in zip(rows, seen, strict=True)] for o in range(q)]
+
+    def errors(one):
+        return np.array([projected_errors(one, inputs, outputs, own[o])[o] for o in range(q)])
+
+    np.testing.assert_allclose(step.linear.squared_errors, errors(model), rtol=1e-9)
+    assert step.error == pytest.approx(weights @ errors(model), rel=1e-9)
+    found = step_equations(step, weights=np.diag(weights))
+    slopes = differences(lambda one: weights @ errors(one), model, free_places(model), step=3e-4)
+    np.testing.assert_allclose(found.gradient, -0.5 * slopes, rtol=0, atol=1e-6 * np.abs(slopes).max())
+    fitted, expected = replace(model, c=step.linear.shapes), 0.0
+    for o in range(q):
+        phi = np.vstack([block[there] for block, there in zip(regressors(fitted, inputs), own[o], strict=True)])
+        slopes = np.vstack([jacobian(fitted, r, u, o)[own[o][r]] for r, u in enumerate(inputs)])
+        expected = expected + weights[o] * slopes.T @ (np.eye(len(phi)) - phi @ np.linalg.pinv(phi)) @ slopes
+    np.testing.assert_allclose(found.matrix, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+    theta, n, m = step.linear.coefficients, model.poles.size, model.b.shape[1]
+    fitted = replace(fitted, D=theta[2 * n : 2 * n + m].T, levels=theta[2 * n + m :])
+    scored = [i for i, block in enumerate(data.blocks) if block.label == 0]
+    for i, error in zip(scored, step.block_errors(scored), strict=True):
+        block = data.blocks[i]
+        record, there = data.records[block.record], data.counted[block.record]
+        missed = np.where(there, record.outputs - loop_run(fitted, block.record, record.inputs), 0.0)
+        np.testing.assert_allclose(error, np.square(missed[block.first : block.last]).sum(axis=0), rtol=1e-8)
+
+
 def free_places(model: LoopModel):
     """Places of the free parameters in the order of the sensitivities: real parts of all, then imaginary parts."""
     n, m = model.b.shape
