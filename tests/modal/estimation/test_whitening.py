@@ -220,3 +220,20 @@ def test_nothing_is_added_where_nothing_answers_any_more():
     assert found_of(result, [6.0]) == [6.0]
     assert len(result.modes.system) == 1
     assert result.fitted_model.order == 2
+
+
+@pytest.mark.parametrize("seed", [5, 9])
+def test_a_mode_that_spoilt_the_filter_is_found_behind_the_next_one(seed):
+    """Its own motion is more than the innovations of the slow noise, and the first filter took it for noise."""
+    rng = np.random.default_rng(seed)
+    force, outputs = rng.standard_normal(4000), np.zeros((4000, 2))
+    for frequency, shape in ((3.0, [1.0, 0.7]), (17.0, [0.05, -0.05])):
+        pole = np.exp((-0.01 + 1j) * 2 * np.pi * frequency * 0.01)
+        moved = scipy.signal.lfilter([0, 1], [1, -2 * pole.real, abs(pole) ** 2], force)
+        outputs += np.outer(moved / moved.std(), shape)
+    slow = scipy.signal.lfilter([1.0], [1.0, -0.99], rng.standard_normal((4000, 2)), axis=0)
+    record = Record(force, outputs + 0.3 * slow / slow.std(axis=0), 0.01)
+    found = pipeline.identify(record).modes.system
+    assert [round(mode.frequency, 1) for mode in found] == [3.0, 17.0]
+    for mode, frequency in zip(found, (3.0, 17.0), strict=True):
+        assert abs(mode.frequency - frequency) < 4 * mode.frequency_std
