@@ -134,7 +134,7 @@ def shaken(rng, n_samples, *, dt=0.02, noise=0.05):
     return frequencies, shapes, outputs + noise * outputs.std(axis=0) * rng.standard_normal(outputs.shape)
 
 
-@pytest.mark.parametrize("rates", [(1, 1, 1, 2), (1, 1, 1, 5), (1, 1, 3, 7)])
+@pytest.mark.parametrize("rates", [(1, 1, 1, 5), (1, 1, 3, 7)])
 def test_slow_sensors_of_a_shaken_structure_show_no_images(rates):
     """Interpolated by themselves they had up to 16 of them, all certain, and spoilt the shapes of the true modes."""
     frequencies, shapes, outputs = shaken(np.random.default_rng(0), 4000)
@@ -168,7 +168,7 @@ PATTERNS = {
 def test_deviations_are_those_of_what_was_measured(pattern):
     """Filled samples were counted: 10 to 110 deviations off at two rates, 2.2 in the mean at half of the samples."""
     scores = []
-    for seed in range(3):
+    for seed in range(2):
         rng = np.random.default_rng(seed)
         n, dt = 2500, 0.01
         force, outputs = rng.standard_normal(n), np.zeros((n, 3))
@@ -184,7 +184,7 @@ def test_deviations_are_those_of_what_was_measured(pattern):
         for mode, (f, ratio) in zip(result.modes.system, truth, strict=True):
             scores.append((mode.frequency - f) / mode.frequency_std)
             scores.append((mode.damping_ratio - ratio) / mode.damping_ratio_std)
-    assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.6  # of 18
+    assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.6  # of 12
     assert np.abs(scores).max() < 4.0
 
 
