@@ -217,6 +217,32 @@ def whiteness_of_each(errors: Sequence[FloatArray], *, n_lags: int) -> float:
     return statistic / freedom if freedom else float("nan")
 
 
+def input_correlation_of_each(errors: Sequence[FloatArray], inputs: Sequence[FloatArray], *, last_lag: int) -> float:
+    """`input_correlation` of each output by itself, the mean of those that are no rounding.
+
+    Args:
+        errors: (n_samples, n_outputs) a record in units of their outputs, nearly white, NaN where not known.
+        inputs: (n_samples, n_inputs) a record.
+        last_lag: largest lag.
+
+    Example:
+        >>> rng = np.random.default_rng(4)
+        >>> force, noise = rng.standard_normal((3000, 1)), rng.standard_normal((3000, 2))
+        >>> noise[::2, 0] = np.nan
+        >>> input_correlation_of_each([noise], [force], last_lag=20) < 1.6
+        True
+        >>> input_correlation_of_each([noise + np.roll(force, 3)], [force], last_lag=20) > 10.0
+        True
+    """
+    ratios = []
+    for i in range(errors[0].shape[1]):
+        one = centred([error[:, [i]] for error in errors])
+        size = np.sqrt(sum(float(np.square(part).sum()) for part in one.records) / max(1, one.n_rows))
+        if size > ROUND_OFF and one.n_rows > 2 * last_lag:
+            ratios.append(input_correlation(one, np.array([[1.0 / size]]), inputs, first_lag=0, last_lag=last_lag))
+    return float(np.mean(ratios)) if ratios else float("nan")
+
+
 def input_correlation(
     errors: CentredErrors, inverse_root: FloatArray, inputs: Sequence[FloatArray], *, first_lag: int, last_lag: int
 ) -> float:

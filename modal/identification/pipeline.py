@@ -31,6 +31,7 @@ from modal.identification.words import (
     explain_noise,
     explain_scoring,
     explain_search,
+    filled_words,
     noise_words,
     order_evidence,
     records_apart,
@@ -417,7 +418,8 @@ def _identified(
         height=standing_out(unjudged, prepared) if kind.kind == "ambient" else None,
         ahead=late_and_early(preparation.input_delay)[1],
     )
-    modes = told_where_measured(modes, prepared, left, preparation.measured)
+    modes = told_where_measured(modes, prepared, left, preparation.measured, is_driven=kind.kind == "driven")
+    left_seen = [np.where(there, one, np.nan) for one, there in zip(left, preparation.measured, strict=True)]
     ringing_down = RingDownAnswer(modes=modes)
     if kind.kind in ("transient", "decay"):  # a sample that was filled by a linear model tells nothing of another
         seen = [np.where(there, one.outputs, np.nan) for one, there in zip(prepared, preparation.measured, strict=True)]
@@ -472,6 +474,7 @@ def _identified(
         warnings=(
             *kind.warnings,
             *preparation.warnings,
+            *filled_words(preparation, of_measured=final.refined is not None and final.noise is None),
             *ringing_down.warnings,
             *unsteady,
             *(
@@ -486,11 +489,8 @@ def _identified(
                 lines=lines,
                 modes=modes,
                 excitation=excitation if by_inputs else None,
-                residuals=None
-                if preparation.filled_from
-                else innovations
-                if searched.chosen.grew and innovations
-                else residuals,
+                residuals=innovations if searched.chosen.grew and innovations else residuals,
+                seen=None if not preparation.filled_from else left_seen if final.leaves_nearly_white else (),
                 found=searched,
             ),
             *records_apart(*left_alone_and_together(prepared, left)),

@@ -88,10 +88,10 @@ def in_white(
         progress: called with the share done.
     """
     start, grown = final.realisation, 0
-    for _ in range(MOST_FILTERS):
+    for turn in range(MOST_FILTERS):
         behind = _behind_filter(records, start, found, measured)
         best, larger = (None, None) if behind is None else _better_in_white(behind, start, grows=grows, grown=grown)
-        if best is not None or behind is None or larger is None:
+        if best is not None or behind is None or larger is None or turn + 1 == MOST_FILTERS:
             break
         spoilt = refined_model(
             behind.records,

@@ -25,6 +25,7 @@ from modal.identification.refined_search import MOST_STEPS
 from modal.identification.result import Identification, OrderEvidence
 from modal.modes.modal_mass import DERIVATIVES
 from modal.modes.mode import Choice, Fit, ModalModel, Mode
+from modal.preparation.steps import Preparation
 from modal.verdict.excitation import BetweenLines
 from modal.verdict.judgement import DOUBTED, Reruns
 from modal.verdict.probability import MOST_MISSED
@@ -44,7 +45,7 @@ from modal.wording.text import (
 from okid.arrays import FloatArray
 from okid.excitation import Excitation
 from okid.record import Record
-from okid.residuals import ResidualCheck
+from okid.residuals import WHITENESS_LAGS, ResidualCheck, input_correlation_of_each
 
 EXPLAINS = 0.5
 """Cross-validated fit below which the model does not explain the records and no mode is certain."""
@@ -235,13 +236,15 @@ def warnings_in_words(
     lines: BetweenLines | None,
     modes: ModalModel,
     excitation: Excitation | None,
-    residuals: ResidualCheck | None,
+    residuals: ResidualCheck,
+    seen: Sequence[FloatArray] | None,
     found: Search,
 ) -> tuple[str, ...]:
     """What the user must read before believing a number; empty when all is well.
 
-    The residuals are those of what the model came from: its observer, or itself where it grew mode by mode; None where
-    samples were filled, by which both follow what filled them.
+    The residuals are those of what the model came from: its observer, or itself where it grew mode by mode. Where some
+    samples were filled, both follow what filled them: in their place stands what the model leaves of the measured ones
+    where that is nearly white, NaN elsewhere, else nothing.
     """
     words = []
     driven = records[0].n_inputs > 0
@@ -291,19 +294,38 @@ def warnings_in_words(
             f"The largest observer order that the data allow ({found.chosen.observer_order}) was the best: a longer "
             "record may carry more."
         )
-    words += _what_follows(residuals, grew=found.chosen.grew)
+    follows = residuals.input_correlation_ratio
+    if seen is not None:
+        inputs = [one.inputs for one in records]
+        follows = input_correlation_of_each(seen, inputs, last_lag=WHITENESS_LAGS) if seen else float("nan")
+    words += _what_follows(follows, of_model=found.chosen.grew or seen is not None)
     return (*words, *(() if excitation is None else _excitation_words(excitation)))
 
 
-def _what_follows(residuals: ResidualCheck | None, *, grew: bool) -> tuple[str, ...]:
+def filled_words(prepared: Preparation, *, of_measured: bool) -> tuple[str, ...]:
+    """That outputs were filled, where they were, and what that does to modes and deviations."""
+    share = prepared.measured_share
+    if share == 1.0:
+        return ()
+    said = f"{100 * (1.0 - share):.3g} % of the output samples were missing and have been filled by a model of the rest"
+    if of_measured:
+        return (f"{said}; modes and their deviations rest on the measured samples, residuals and pictures on all.",)
+    text = (
+        f"{said}, so the fits look better than what was measured allows; deviations have been widened by as much. "
+        "Where a record can be repeated, sample all channels together."
+    )
+    return (text,)
+
+
+def _what_follows(ratio: float, *, of_model: bool) -> tuple[str, ...]:
     """That what is left follows the inputs, where it does."""
-    if residuals is None or not residuals.input_correlation_ratio > FOLLOWS_INPUT:
+    if not ratio > FOLLOWS_INPUT:
         return ()
     what, why = "observer", "changes in time, or answers for longer than the observer looks back"
-    if grew:
+    if of_model:
         what, why = "model", "or changes in time"
     text = (
-        f"What the {what} leaves over still follows the inputs, {residuals.input_correlation_ratio:.1f} times as much "
+        f"What the {what} leaves over still follows the inputs, {ratio:.1f} times as much "
         f"as chance would: the system is not linear, {why}, so expect damping "
         "ratios to be off."
     )

@@ -47,13 +47,11 @@ class Filling:
         records: with every missing output filled; the records given where nothing was filled.
         measured: (n_samples, n_outputs) a record, False where a sample was filled.
         choices: empty where nothing was filled.
-        warnings: what the user must know of it.
     """
 
     records: tuple[Record, ...]
     measured: tuple[BoolArray, ...]
     choices: tuple[Choice, ...]
-    warnings: tuple[str, ...]
 
 
 def fill_where_needed(records: Sequence[Record]) -> Filling:
@@ -71,7 +69,7 @@ def fill_where_needed(records: Sequence[Record]) -> Filling:
     measured = tuple(~np.isnan(record.outputs) for record in records)
     share, order = _whole_rows(records)
     if share >= LEAST_ROWS:
-        return Filling(records=tuple(records), measured=measured, choices=(), warnings=())
+        return Filling(records=tuple(records), measured=measured, choices=())
     scaling = channel_scaling(records)
     scaled = tuple(scaled_record(record, scaling) for record in records)
     done, how = _filled(scaled)
@@ -88,14 +86,7 @@ def fill_where_needed(records: Sequence[Record]) -> Filling:
         value=f"{100 * missing:.3g} % of the samples filled",
         reason=f"an observer of order {order} would find {100 * share:.2g} % of its rows whole; {how}",
     )
-    said = f"{100 * missing:.3g} % of the output samples were missing and have been filled by a model of the rest"
-    warning = f"{said}; modes and their deviations rest on the measured samples, residuals and pictures on all of them."
-    if not records[0].n_inputs:
-        warning = (
-            f"{said}, so the fits look better, and what is uncertain looks more certain, than the measured samples "
-            "alone allow; where a record can be repeated, sample all channels together."
-        )
-    return Filling(records=filled, measured=measured, choices=(choice,), warnings=(warning,))
+    return Filling(records=filled, measured=measured, choices=(choice,))
 
 
 def refilled(records: Sequence[Record], measured: Sequence[BoolArray], model: Realisation) -> tuple[Record, ...]:

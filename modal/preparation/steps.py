@@ -44,6 +44,8 @@ SHORTEST = 50
 SHORTEST_SHARE = 0.02
 """Of the record's longest stretch: a shorter one tells next to nothing, but would limit decimation."""
 _MEAN = Choice(what="mean", value="removed", reason="the model describes motion about the mean of each channel")
+MOSTLY_KEPT = 0.5
+"""Decimate where so large a share of what is left of each output is made of measured samples alone."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -162,7 +164,10 @@ def prepare(
     measured = tuple(one.samples(n) for one, n in zip(filling.records, n_rest, strict=True))
     if kind == "decay":  # nobody measured a release
         measured = tuple(one.select(inputs=[]) for one in measured)
-    banded, factor, band = _to_band(filling.records, decimation, number, measured)
+    driven = first.n_inputs > 0 and holds_filled(filling.records, filling.measured)
+    banded, factor, band = _to_band(
+        filling.records, decimation, number, measured, there=filling.measured if driven else ()
+    )
     lost = filter_half_length(factor) if factor > 1 else 0
     centring: tuple[Choice, ...]
     if rested is None:
@@ -212,11 +217,10 @@ def prepare(
             *mend.warnings,
             *_gap_warnings(gaps),
             *lines.warnings,
-            *filling.warnings,
             *([drifting.warning] if drifting.warning else []),
         ),
         measured=tuple(
-            there[lost::factor][late : record.n_samples - early]
+            (_told_behind(there, factor) if driven else there[lost::factor])[late : record.n_samples - early]
             for there, record in zip(filling.measured, own, strict=True)
         ),
         n_rest=tuple(max(0, n - late) for n in n_rest),
@@ -254,11 +258,20 @@ def _parts(records: Sequence[Record]) -> tuple[tuple[Record, ...], tuple[Choice,
 
 
 def _to_band(
-    records: Sequence[Record], decimation: int | Literal["auto"], n_integrators: int, measured: Sequence[Record]
+    records: Sequence[Record],
+    decimation: int | Literal["auto"],
+    n_integrators: int,
+    measured: Sequence[Record],
+    *,
+    there: Sequence[BoolArray],
 ) -> tuple[tuple[Record, ...], int, Choice]:
     """Decimated records, the factor and why; outputs that integrate are compared by what they integrate.
 
-    They are compared as measured: rows of rest that stand in front are quieter than the record's own rest.
+    They are compared as measured: rows of rest that stand in front are quieter than the record's own rest. `there`,
+    (n_samples, n_outputs) where samples were filled, says which were measured: most of what is left is to be of these.
+
+    Raises:
+        InvalidDataError: with a factor that was given they do not.
     """
     if decimation == "auto":
         compared = [replace(record, outputs=_differences(record.outputs, n_integrators)) for record in measured]
@@ -266,10 +279,30 @@ def _to_band(
         factor, reason = band.factor, band.reason
     else:
         factor, reason = decimation, "given as an argument"
+    if factor > 1 and there:
+        kept = np.sum([_told_behind(own, factor).sum(axis=0) for own in there], axis=0)
+        least = float(np.min(factor * kept / np.maximum(1, np.sum([own.sum(axis=0) for own in there], axis=0))))
+        if least < MOSTLY_KEPT:
+            reason = (
+                f"decimated by {factor}, only {100 * least:.2g} % of the samples of some output would be made of "
+                "measured ones alone"
+            )
+            if decimation != "auto":
+                raise InvalidDataError(f"{reason}, the rest of such as were filled; leave decimation out.")
+            factor = 1
     if factor > 1:
         records = tuple(record.decimated(factor) for record in records)
     nyquist = 0.5 / records[0].dt
     return tuple(records), factor, Choice(what="frequency band", value=f"0 to {nyquist:.4g} Hz", reason=reason)
+
+
+def _told_behind(there: BoolArray, factor: int) -> BoolArray:
+    """Which samples left by a decimation are made of measured ones, as far as the main lobe of its filter reaches."""
+    if factor == 1:
+        return there
+    reach, half = filter_half_length(factor), min(factor, filter_half_length(factor))
+    around = np.asarray(np.lib.stride_tricks.sliding_window_view(there, 2 * half + 1, axis=0).all(axis=-1))
+    return around[reach - half : len(there) - reach - half : factor]
 
 
 def _differences(values: FloatArray, number: int) -> FloatArray:
@@ -290,7 +323,7 @@ def _filling(records: Sequence[Record], missing: Literal["fill", "leave"]) -> Fi
     if missing == "fill":
         return fill_where_needed(records)
     measured = tuple(~np.isnan(record.outputs) for record in records)
-    return Filling(records=tuple(records), measured=measured, choices=(), warnings=())
+    return Filling(records=tuple(records), measured=measured, choices=())
 
 
 def _slow_functions_given(drift: int | Literal["auto", "none", "linear"]) -> int | None:

@@ -7,8 +7,8 @@ count filled samples as if they told the same. So a mode whose answer was mostly
 measured alone, by Schwarz's criterion: without it, all others free to take its part, the squared error must grow by
 more than its numbers cost; in each output by more than a shape does, or that output is none of its.
 
-Without inputs nothing but the outputs tells a line from its images, by the frequencies at which rows were measured: one
-that all outputs see at their own rates stands at each of them as well as at its own frequency.
+Where nothing drives throughout, only the outputs tell a line from its images, by the frequencies at which rows were
+measured: one that all outputs see at their own rates stands at each of them as well as at its own frequency.
 """
 
 from collections.abc import Sequence
@@ -36,7 +36,12 @@ WHY = "most of what shows it was filled, and in the samples that were measured i
 
 
 def told_where_measured(
-    modes: ModalModel, records: Sequence[Record], left: Sequence[FloatArray], measured: Sequence[BoolArray]
+    modes: ModalModel,
+    records: Sequence[Record],
+    left: Sequence[FloatArray],
+    measured: Sequence[BoolArray],
+    *,
+    is_driven: bool,
 ) -> ModalModel:
     """The modes, doubtful where what was measured does not tell them, or not from each other.
 
@@ -45,11 +50,13 @@ def told_where_measured(
         records: that they were identified from; the pulse of a release is an input.
         left: (n_samples, n_outputs) a record, what the model's free run leaves.
         measured: the same shape, False where a sample was filled.
+        is_driven: throughout; what rings down after a blow or a release is fitted as well by the images of its lines.
     """
     if not holds_filled(records, measured) or not modes.system:
         return modes
+    modes = modes if is_driven else _told_of_images(modes, records, measured)
     if not records[0].n_inputs:
-        return _told_of_images(modes, records, measured)
+        return modes
     there = [own & np.isfinite(errors) for own, errors in zip(measured, left, strict=True)]
     gained, share, counts = _gained(modes, records, left, there)
     told = []
@@ -81,9 +88,11 @@ def _told_of_images(modes: ModalModel, records: Sequence[Record], measured: Sequ
             alike = max(sizes[i] / sizes[j], decays[j] / decays[i]) <= ALIKE_SIZE  # an image decays as its line does
             if i == j or one.verdict != "system" or other.verdict == "noise" or not alike:
                 continue
-            images = np.abs(np.concatenate([other.frequency + shifts, other.frequency - shifts]))
+            width = resolution + 2.0 * decays[i]
+            far = shifts[shifts > width]
+            images = np.abs(np.concatenate([other.frequency + far, other.frequency - far]))
             images = np.minimum(images % rate, rate - images % rate)
-            if (np.abs(images - one.frequency) <= resolution + 2.0 * decays[i]).any():
+            if (np.abs(images - one.frequency) <= width).any():
                 why = f"outputs measured in so different rows do not tell it from an image of {other.frequency:.4g} Hz"
                 told[i] = doubted(one, why)
     return replace(modes, modes=tuple(told))
