@@ -189,11 +189,13 @@ def _of_records(model: RefinedModel, variances: FloatArray, degrees_of_freedom: 
     for number, (record, counted) in enumerate(zip(data.records, data.counted, strict=True)):
         places = layout.places(number)
         drawn = rng.standard_normal((N_RECORD_DRAWS, len(places), layout.n_outputs))
-        for outputs in map(list, data.together):
-            gram = np.zeros((len(places), len(places)))
-            for first, every in signals_of(layout, step.parameters, number, record):
-                signals = every * counted[first : first + len(every), outputs[:1]]
-                gram += signals.T @ signals
+        together = [list(outputs) for outputs in data.together]
+        grams = np.zeros((len(together), len(places), len(places)))
+        for first, every in signals_of(layout, step.parameters, number, record):
+            for k, outputs in enumerate(together):
+                signals = every[counted[first : first + len(every), outputs[0]]]
+                grams[k] += signals.T @ signals
+        for gram, outputs in zip(grams, together, strict=True):
             size = _sizes(gram)
             values, vectors = np.linalg.eigh(gram / np.outer(size, size))
             root = size[:, np.newaxis] * vectors * np.sqrt(np.maximum(values, 0.0))

@@ -12,7 +12,8 @@ measured: one that all outputs see at their own rates stands at each of them as 
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from fractions import Fraction
 
 import numpy as np
 
@@ -28,10 +29,13 @@ MOSTLY = 0.45
 """Ask where more than this share of what a mode does was filled, each output in units of its noise."""
 ALIKE_SIZE = 10.0
 """Take what is larger than so many times its image for the line itself, and what decays faster for no image of it."""
+MOST_TURNS = 64
+"""Take rows to come by turns of no more: a line of the spectrum tells their number."""
 RARE = 1e-3
 """Let the rows that chance chooses show a line no more often."""
 ALIKE = 1e-9
 """Take columns for one where their products cannot be told apart below this share."""
+OF_IMAGES = "an image of it fits outputs measured in so different rows as well"
 WHY = "most of what shows it was filled, and in the samples that were measured it may be chance"
 
 
@@ -54,10 +58,10 @@ def told_where_measured(
     """
     if not holds_filled(records, measured) or not modes.system:
         return modes
-    modes = modes if is_driven else _told_of_images(modes, records, measured)
     if not records[0].n_inputs:
-        return modes
+        return _told_of_images(modes, records, measured)
     there = [own & np.isfinite(errors) for own, errors in zip(measured, left, strict=True)]
+    modes = modes if is_driven else _told_from_images(modes, records, left, there, _shifts(measured))
     gained, share, counts = _gained(modes, records, left, there)
     told = []
     for i, mode in enumerate(modes.modes):
@@ -69,16 +73,8 @@ def told_where_measured(
 
 
 def _told_of_images(modes: ModalModel, records: Sequence[Record], measured: Sequence[BoolArray]) -> ModalModel:
-    """The modes, doubtful where they stand at the image of one that is not far smaller.
-
-    Outputs that others were measured instead of have no images: these know which line is the true one.
-    """
-    together = np.vstack(measured)
-    alone = [i for i in range(together.shape[1]) if not measured_instead(together, i)]
-    lines = [_lines(own[:, i]) / record.dt for record, own in zip(records, measured, strict=True) for i in alone]
-    if not lines:
-        return modes
-    shifts = np.concatenate(lines)
+    """The modes, doubtful where they stand at the image of one that is not far smaller."""
+    shifts = _shifts(measured) / records[0].dt
     sizes, rate = _sizes(modes, records), 1.0 / records[0].dt
     resolution = 2.0 / max(record.duration for record in records)
     told = list(modes.modes)
@@ -98,13 +94,58 @@ def _told_of_images(modes: ModalModel, records: Sequence[Record], measured: Sequ
     return replace(modes, modes=tuple(told))
 
 
+def _told_from_images(
+    modes: ModalModel,
+    records: Sequence[Record],
+    left: Sequence[FloatArray],
+    there: Sequence[BoolArray],
+    shifts: FloatArray,
+) -> ModalModel:
+    """The modes, doubtful where an image fits what was measured as well: in its place, all shapes free, by Schwarz."""
+    poles, is_pair = discrete_poles(modes.modes, modes.dt)
+    turned = np.concatenate([poles * np.exp(sign * 2j * np.pi * one) for one in shifts for sign in (1.0, -1.0)] or [[]])
+    asked = np.array([mode.verdict == "system" for mode in modes.modes]) & is_pair
+    whose = np.tile(np.arange(poles.size), 2 * shifts.size)
+    turned, whose = turned[asked[whose]], whose[asked[whose]]
+    if not whose.size:
+        return modes
+    images = np.where(turned.imag < 0.0, turned.conj(), turned)
+    both = replace(modes, modes=(*modes.modes, *(modes.modes[i] for i in whose)))
+    poles, is_pair = np.concatenate([poles, images]), np.concatenate([is_pair, is_pair[whose]])
+    at_once = np.full(records[0].n_inputs, -1)
+    owner = np.concatenate([np.arange(poles.size), np.flatnonzero(is_pair), at_once])
+    sums = _sums(both, poles, is_pair, records, left, there=there, n_shown=len(modes.modes))
+    n_outputs, known = records[0].n_outputs, owner < len(modes.modes)
+    price, told = 2 * n_outputs * np.log(sums.counts.sum()), list(modes.modes)
+    for k, i in enumerate(whose):
+        with_image = (known & (owner != i)) | (owner == len(modes.modes) + k)
+        lost = 0.0
+        for own, cross, power, count in zip(sums.own, sums.cross, sums.power, sums.counts, strict=True):
+            least = _explained(own, cross, known)
+            lost += (least - _explained(own, cross, with_image)) / max((power - least) / max(1.0, count), TINY)
+        if lost <= price:
+            told[i] = doubted(told[i], OF_IMAGES)
+    return replace(modes, modes=tuple(told))
+
+
+def _shifts(measured: Sequence[BoolArray]) -> FloatArray:
+    """[1 / sample] at which lines have images in all outputs that no other was measured instead of."""
+    together = np.vstack(measured)
+    alone = [i for i in range(together.shape[1]) if not measured_instead(together, i)]
+    lines = [_lines(own[:, i]).round(9) for own in measured for i in alone]
+    return np.unique(np.concatenate(lines)) if lines else np.empty(0)
+
+
 def _lines(there: BoolArray) -> FloatArray:
     """Frequencies [1 / sample] of the turns by which rows were measured: beyond chance, and nothing beside them."""
     share, n = float(there.mean()), there.size
     power = np.abs(np.fft.rfft((there - share) * np.hanning(n))) ** 2 / (0.375 * n)
     beside = np.maximum(np.pad(power, (4, 0))[: power.size], np.pad(power, (0, 4))[4:])
     least = share * (1.0 - share) * np.log(power.size / RARE)
-    return np.fft.rfftfreq(n)[(power > least) & (power > 100.0 * beside)]
+    lines, slowest = np.fft.rfftfreq(n), 1.0 / MOST_TURNS - 1.0 / n  # a gap, or rest in front, is no turn
+    found = lines[(power > least) & (power > 100.0 * beside) & (lines >= slowest)].tolist()
+    exact = [float(Fraction(one).limit_denominator(MOST_TURNS)) for one in found]
+    return np.array([other if abs(other - one) <= 1.0 / n else one for one, other in zip(found, exact, strict=True)])
 
 
 def _sizes(modes: ModalModel, records: Sequence[Record]) -> FloatArray:
@@ -132,20 +173,8 @@ def _gained(
     poles, is_pair = discrete_poles(modes.modes, modes.dt)
     owner = np.concatenate([np.arange(poles.size), np.flatnonzero(is_pair)])
     n, n_outputs = owner.size, records[0].n_outputs
-    own, cross, whole = np.zeros((n_outputs, n, n)), np.zeros((n_outputs, n)), np.zeros((n, n))
-    power, counts = np.zeros(n_outputs), np.zeros(n_outputs)
-    shown = np.array([mode.shape for mode in modes.modes]).T
-    sizes = np.hstack([shown.real, shown.imag[:, is_pair]])
-    for record, errors, rows in zip(records, left, there, strict=True):
-        columns = _answers(modes, poles, is_pair, record)
-        whole += columns.T @ columns
-        for o in range(n_outputs):
-            part = columns[rows[:, o]]
-            wanted = part @ sizes[o] + errors[rows[:, o], o]
-            own[o] += part.T @ part
-            cross[o] += part.T @ wanted
-            power[o] += wanted @ wanted
-            counts[o] += wanted.size
+    sums = _sums(modes, poles, is_pair, records, left, there=there, n_shown=len(modes.modes))
+    own, cross, whole, sizes, power, counts = sums.own, sums.cross, sums.whole, sums.shapes, sums.power, sums.counts
     gained, every, seen = (np.zeros((poles.size, n_outputs)) for _ in range(3))
     for o in range(n_outputs):
         least = _explained(own[o], cross[o], np.ones(n, dtype=np.bool_))
@@ -157,6 +186,60 @@ def _gained(
             every[i, o] = shape @ whole[np.ix_(mine, mine)] @ shape / variance
             seen[i, o] = shape @ own[o][np.ix_(mine, mine)] @ shape / variance
     return gained, 1.0 - seen.sum(axis=1) / np.maximum(every.sum(axis=1), TINY), counts
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Sums:
+    """Products of the answers of modes with each other and with what was measured.
+
+    Attributes:
+        own: (n_outputs, n, n) of answers, where each output was measured.
+        cross: (n_outputs, n) with that output.
+        whole: (n, n) of answers over all rows.
+        shapes: (n_outputs, n) that the model has.
+        power: (n_outputs,) squares of each output.
+        counts: (n_outputs,) how many samples were measured.
+    """
+
+    own: FloatArray
+    cross: FloatArray
+    whole: FloatArray
+    shapes: FloatArray
+    power: FloatArray
+    counts: FloatArray
+
+
+def _sums(
+    modes: ModalModel,
+    poles: ComplexArray,
+    is_pair: BoolArray,
+    records: Sequence[Record],
+    left: Sequence[FloatArray],
+    *,
+    there: Sequence[BoolArray],
+    n_shown: int,
+) -> _Sums:
+    """Of modes with these poles, of which the first so many are those of the model that leaves the errors.
+
+    Where there are others, inputs that act at once come after them.
+    """
+    n_direct = records[0].n_inputs if poles.size > n_shown else 0  # what the model says of them is part of its choice
+    n, n_outputs = poles.size + int(is_pair.sum()) + n_direct, records[0].n_outputs
+    own, cross, whole = np.zeros((n_outputs, n, n)), np.zeros((n_outputs, n)), np.zeros((n, n))
+    power, counts = np.zeros(n_outputs), np.zeros(n_outputs)
+    shown = np.array([mode.shape for mode in modes.modes]).T * (np.arange(poles.size) < n_shown)
+    shapes = np.hstack([shown.real, shown.imag[:, is_pair], np.zeros((n_outputs, n_direct))])
+    for record, errors, rows in zip(records, left, there, strict=True):
+        columns = np.hstack([_answers(modes, poles, is_pair, record), record.inputs[:, :n_direct]])
+        whole += columns.T @ columns
+        for o in range(n_outputs):
+            part = columns[rows[:, o]]
+            wanted = part @ shapes[o] + errors[rows[:, o], o]
+            own[o] += part.T @ part
+            cross[o] += part.T @ wanted
+            power[o] += wanted @ wanted
+            counts[o] += wanted.size
+    return _Sums(own=own, cross=cross, whole=whole, shapes=shapes, power=power, counts=counts)
 
 
 def _answers(modes: ModalModel, poles: ComplexArray, is_pair: BoolArray, record: Record) -> FloatArray:
