@@ -211,9 +211,7 @@ class Ground(Displayed):
     power: FloatArray
     n_lags: int
     by: Folds
-    measured: tuple[
-        BoolArray, ...
-    ]  # [stretch] (n_rows, n_outputs), False where a sample was filled; none where all were
+    measured: tuple[BoolArray, ...]  # [stretch] (n_rows, n_outputs) False where filled; none where nothing was
     # what was computed so far, so that a search may ask for the same again
     grams: dict[tuple[int, int], LagGram]  # [observer order, fold]
     decompositions: dict[tuple[int, float, int], tuple[int, HankelDecomposition] | None]  # [observer, ridge, fold]

@@ -264,7 +264,7 @@ def _refined(
         model,
         refined,
         noise_free=noise_free or ("rows of rest, which hold no noise, stand before the record" if n_rest else ""),
-        filled_from=measured,
+        measured=measured,
         feedback=feedback,
         order_given=order_given,
         progress=progress,
@@ -283,7 +283,7 @@ def with_noise(
     refined: RefinedModel | None,
     *,
     noise_free: str = "",
-    filled_from: Sequence[BoolArray] = (),
+    measured: Sequence[BoolArray] = (),
     feedback: bool = False,
     order_given: bool = False,
     progress: Callable[[float], None],
@@ -298,7 +298,7 @@ def with_noise(
     made = replace(fitted, cut=model, refined=refined, gain=gain, realisation=base, feedback=found)
     if base.K is None:
         return made
-    if filled_from and made.leaves_nearly_white:
+    if measured and made.leaves_nearly_white:
         noise_free = "nearly white where it was measured, and samples that were filled hold none"
     if noise_free:
         return replace(made, why=noise_free)

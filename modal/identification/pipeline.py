@@ -254,7 +254,7 @@ def _with_delays(
             kind=kind_found.kind,
             mend=mend,
         )
-        measured = preparation.filled_from
+        measured = preparation.measured_if_filled
         found = choose_orders(
             preparation.records,
             observer_order=observer_order,
@@ -372,7 +372,7 @@ def _identified(
         refined=final.realisation,
         past=0 if final.noise is None else final.noise.past,
         grown="all" if white is not None else "half" if searched.chosen.weak_modes else "",
-        measured=preparation.filled_from if white is None else white.measured,
+        measured=preparation.measured_if_filled if white is None else white.measured,
     )
     if final.refined is not None and white is None:
         final = replace(final, refined=told_at_rest(final.refined, preparation.at_rest))
@@ -490,7 +490,7 @@ def _identified(
                 modes=modes,
                 excitation=excitation if by_inputs else None,
                 residuals=innovations if searched.chosen.grew and innovations else residuals,
-                seen=None if not preparation.filled_from else left_seen if final.leaves_nearly_white else (),
+                seen=None if not preparation.measured_if_filled else left_seen if final.leaves_nearly_white else (),
                 found=searched,
             ),
             *records_apart(*left_alone_and_together(prepared, left)),

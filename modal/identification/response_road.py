@@ -13,8 +13,7 @@ import numpy as np
 
 from era.balanced import HankelDecomposition, decompose, order_choice, realise_from
 from modal.estimation.cross_validation import hankel_limits
-from modal.estimation.force_dips import with_dips
-from modal.estimation.response_fit import (
+from modal.estimation.responses.fit import (
     ResponseFit,
     ResponseLines,
     Start,
@@ -24,7 +23,8 @@ from modal.estimation.response_fit import (
     refined,
     start_of,
 )
-from modal.estimation.response_noise import (
+from modal.estimation.responses.force_dips import with_dips
+from modal.estimation.responses.noise import (
     Noise,
     beyond_blocks,
     drawn_noise,
@@ -35,7 +35,7 @@ from modal.estimation.response_noise import (
     runs_on,
     with_powers,
 )
-from modal.estimation.response_order import (
+from modal.estimation.responses.order import (
     PASSES,
     QUICK,
     chosen_order,

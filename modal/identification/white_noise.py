@@ -198,7 +198,7 @@ def _refined_in_white(
     )
     if refined is None or not keeps_promise(refined.realisation, white, trial):
         return None
-    model = with_noise(white, fitted, cut, refined, filled_from=behind.measured, progress=progress)
+    model = with_noise(white, fitted, cut, refined, measured=behind.measured, progress=progress)
     gain = estimate_gain(model.realisation, records)  # innovations are those of the filtered records, their gain is not
     return replace(
         model,

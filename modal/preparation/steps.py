@@ -79,15 +79,15 @@ class Preparation:
     at_rest: FloatArray
 
     @property
-    def filled_from(self) -> tuple[BoolArray, ...]:
-        """`measured` where samples of driven outputs were filled, which tell nothing; else nothing."""
+    def measured_if_filled(self) -> tuple[BoolArray, ...]:
+        """`measured` if samples of driven outputs were filled, which tell nothing; else nothing."""
         driven = self.records[0].n_inputs > 0
         return self.measured if driven and holds_filled(self.records, self.measured) else ()
 
     @property
     def n_values(self) -> int:
         """Output samples that a model is fitted to: in whole rows, or where they were measured; none of rest."""
-        there = self.filled_from or [
+        there = self.measured_if_filled or [
             np.repeat(one.complete_rows()[:, np.newaxis], one.n_outputs, axis=1) for one in self.records
         ]
         return sum(int(own[n:].sum()) for own, n in zip(there, self.n_rest, strict=True))
@@ -164,10 +164,8 @@ def prepare(
     measured = tuple(one.samples(n) for one, n in zip(filling.records, n_rest, strict=True))
     if kind == "decay":  # nobody measured a release
         measured = tuple(one.select(inputs=[]) for one in measured)
-    driven = first.n_inputs > 0 and holds_filled(filling.records, filling.measured)
-    banded, factor, band = _to_band(
-        filling.records, decimation, number, measured, there=filling.measured if driven else ()
-    )
+    there = filling.measured if holds_filled(filling.records, filling.measured) else ()
+    banded, factor, band = _to_band(filling.records, decimation, number, measured, there=there)
     lost = filter_half_length(factor) if factor > 1 else 0
     centring: tuple[Choice, ...]
     if rested is None:
@@ -220,8 +218,8 @@ def prepare(
             *([drifting.warning] if drifting.warning else []),
         ),
         measured=tuple(
-            (_told_behind(there, factor) if driven else there[lost::factor])[late : record.n_samples - early]
-            for there, record in zip(filling.measured, own, strict=True)
+            _made_of_measured(seen, factor)[late : record.n_samples - early]
+            for seen, record in zip(filling.measured, own, strict=True)
         ),
         n_rest=tuple(max(0, n - late) for n in n_rest),
         at_rest=np.zeros((len(own), first.n_inputs)) if rested is None or number else rested.at_rest / factor,
@@ -280,15 +278,16 @@ def _to_band(
     else:
         factor, reason = decimation, "given as an argument"
     if factor > 1 and there:
-        kept = np.sum([_told_behind(own, factor).sum(axis=0) for own in there], axis=0)
-        least = float(np.min(factor * kept / np.maximum(1, np.sum([own.sum(axis=0) for own in there], axis=0))))
-        if least < MOSTLY_KEPT:
+        kept = np.sum([_made_of_measured(own, factor).sum(axis=0) for own in there], axis=0)
+        shares = factor * kept / np.maximum(1, np.sum([own.sum(axis=0) for own in there], axis=0))
+        least = int(shares.argmin())
+        if shares[least] < MOSTLY_KEPT:
             reason = (
-                f"decimated by {factor}, only {100 * least:.2g} % of the samples of some output would be made of "
-                "measured ones alone"
+                f"decimation by {factor} would leave {100 * shares[least]:.2g} % of what was measured of "
+                f"{records[0].output_names[least]} without what was filled, where {100 * MOSTLY_KEPT:.0f} % are needed"
             )
             if decimation != "auto":
-                raise InvalidDataError(f"{reason}, the rest of such as were filled; leave decimation out.")
+                raise InvalidDataError(f"{reason}; leave decimation out.")
             factor = 1
     if factor > 1:
         records = tuple(record.decimated(factor) for record in records)
@@ -296,8 +295,11 @@ def _to_band(
     return tuple(records), factor, Choice(what="frequency band", value=f"0 to {nyquist:.4g} Hz", reason=reason)
 
 
-def _told_behind(there: BoolArray, factor: int) -> BoolArray:
-    """Which samples left by a decimation are made of measured ones, as far as the main lobe of its filter reaches."""
+def _made_of_measured(there: BoolArray, factor: int) -> BoolArray:
+    """Which samples that a decimation leaves are made of measured ones, as far as the main lobe of its filter reaches.
+
+    `there` is (n_samples, n_outputs), True where an output was measured.
+    """
     if factor == 1:
         return there
     reach, half = filter_half_length(factor), min(factor, filter_half_length(factor))

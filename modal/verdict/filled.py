@@ -31,6 +31,8 @@ ALIKE_SIZE = 10.0
 """Take what is larger than so many times its image for the line itself, and what decays faster for no image of it."""
 MOST_TURNS = 64
 """Take rows to come by turns of no more: a line of the spectrum tells their number."""
+STANDS_ALONE = 100.0
+"""Take a line of the rows for one of turns where it is so many times what stands beside it."""
 RARE = 1e-3
 """Let the rows that chance chooses show a line no more often."""
 ALIKE = 1e-9
@@ -59,9 +61,9 @@ def told_where_measured(
     if not holds_filled(records, measured) or not modes.system:
         return modes
     if not records[0].n_inputs:
-        return _told_of_images(modes, records, measured)
+        return _apart_from_each_other(modes, records, measured)
     there = [own & np.isfinite(errors) for own, errors in zip(measured, left, strict=True)]
-    modes = modes if is_driven else _told_from_images(modes, records, left, there, _shifts(measured))
+    modes = modes if is_driven else _apart_from_images(modes, records, left, there, _shifts(measured))
     gained, share, counts = _gained(modes, records, left, there)
     told = []
     for i, mode in enumerate(modes.modes):
@@ -72,7 +74,7 @@ def told_where_measured(
     return replace(modes, modes=tuple(told))
 
 
-def _told_of_images(modes: ModalModel, records: Sequence[Record], measured: Sequence[BoolArray]) -> ModalModel:
+def _apart_from_each_other(modes: ModalModel, records: Sequence[Record], measured: Sequence[BoolArray]) -> ModalModel:
     """The modes, doubtful where they stand at the image of one that is not far smaller."""
     shifts = _shifts(measured) / records[0].dt
     sizes, rate = _sizes(modes, records), 1.0 / records[0].dt
@@ -94,7 +96,7 @@ def _told_of_images(modes: ModalModel, records: Sequence[Record], measured: Sequ
     return replace(modes, modes=tuple(told))
 
 
-def _told_from_images(
+def _apart_from_images(
     modes: ModalModel,
     records: Sequence[Record],
     left: Sequence[FloatArray],
@@ -114,7 +116,7 @@ def _told_from_images(
     poles, is_pair = np.concatenate([poles, images]), np.concatenate([is_pair, is_pair[whose]])
     at_once = np.full(records[0].n_inputs, -1)
     owner = np.concatenate([np.arange(poles.size), np.flatnonzero(is_pair), at_once])
-    sums = _sums(both, poles, is_pair, records, left, there=there, n_shown=len(modes.modes))
+    sums = _sums(both, poles, is_pair, records, left, there=there, n_shown=len(modes.modes), direct=True)
     n_outputs, known = records[0].n_outputs, owner < len(modes.modes)
     price, told = 2 * n_outputs * np.log(sums.counts.sum()), list(modes.modes)
     for k, i in enumerate(whose):
@@ -140,10 +142,10 @@ def _lines(there: BoolArray) -> FloatArray:
     """Frequencies [1 / sample] of the turns by which rows were measured: beyond chance, and nothing beside them."""
     share, n = float(there.mean()), there.size
     power = np.abs(np.fft.rfft((there - share) * np.hanning(n))) ** 2 / (0.375 * n)
-    beside = np.maximum(np.pad(power, (4, 0))[: power.size], np.pad(power, (0, 4))[4:])
+    beside = np.maximum(np.pad(power, (4, 0))[: power.size], np.pad(power, (0, 4))[4:])  # beyond the window's lobe
     least = share * (1.0 - share) * np.log(power.size / RARE)
     lines, slowest = np.fft.rfftfreq(n), 1.0 / MOST_TURNS - 1.0 / n  # a gap, or rest in front, is no turn
-    found = lines[(power > least) & (power > 100.0 * beside) & (lines >= slowest)].tolist()
+    found = lines[(power > least) & (power > STANDS_ALONE * beside) & (lines >= slowest)].tolist()
     exact = [float(Fraction(one).limit_denominator(MOST_TURNS)) for one in found]
     return np.array([other if abs(other - one) <= 1.0 / n else one for one, other in zip(found, exact, strict=True)])
 
@@ -218,12 +220,13 @@ def _sums(
     *,
     there: Sequence[BoolArray],
     n_shown: int,
+    direct: bool = False,
 ) -> _Sums:
     """Of modes with these poles, of which the first so many are those of the model that leaves the errors.
 
-    Where there are others, inputs that act at once come after them.
+    Inputs that act at once come after them, where what the model says of these is to be free as well.
     """
-    n_direct = records[0].n_inputs if poles.size > n_shown else 0  # what the model says of them is part of its choice
+    n_direct = records[0].n_inputs if direct else 0
     n, n_outputs = poles.size + int(is_pair.sum()) + n_direct, records[0].n_outputs
     own, cross, whole = np.zeros((n_outputs, n, n)), np.zeros((n_outputs, n)), np.zeros((n, n))
     power, counts = np.zeros(n_outputs), np.zeros(n_outputs)

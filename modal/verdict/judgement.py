@@ -24,7 +24,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from modal.estimation.force_dips import NARROW
+from modal.estimation.responses.force_dips import NARROW
 from modal.modes.extraction import NOT_JUDGED, remarks
 from modal.modes.mode import ModalModel, Mode, Verdict
 from modal.modes.shape_comparison import (
@@ -432,7 +432,7 @@ def scattered(
 
     Args:
         modes: judged.
-        ratios: (n_modes,) of `modal.estimation.response_noise.beyond_blocks`.
+        ratios: (n_modes,) of `modal.estimation.responses.noise.beyond_blocks`.
         onward: (n_modes,) of `runs_on` there.
         frequencies: lines of the table [Hz].
         several_forces: whether the table has several references, whose falls are not described.

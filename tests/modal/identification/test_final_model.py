@@ -8,9 +8,10 @@ from systems import initial_state, modal_system, simulate
 
 from era.simulation import simulate as free_simulation
 from modal.estimation.cross_validation import Trial
-from modal.identification.final_model import fit_all_rows
+from modal.identification.final_model import fit_all_rows, with_deviations
 from modal.identification.order_search import Search, search, search_limits
 from modal.identification.pipeline import identify
+from modal.modes.extraction import extract_modes
 from okid.errors import NumericalError
 from okid.record import Record
 
@@ -188,3 +189,20 @@ def test_no_deviation_is_finer_than_rounding_and_only_a_real_poles_damping_has_n
             assert mode.damping_ratio_std == 0.0
         else:
             assert abs(mode.damping_ratio + s.real / abs(s)) < 6 * mode.damping_ratio_std
+
+
+def test_deviations_of_a_model_with_its_noise_are_as_much_wider_as_samples_are_fewer():
+    """What was filled holds no noise and counts as a sample: both make them too small by the measured share."""
+    rng = np.random.default_rng(11)
+    system = modal_system(rng, frequencies=[4.0], damping_ratios=[0.02])
+    inputs = random_inputs(rng, 2000, 2)
+    clean = simulate(system, inputs)
+    noise = scipy.signal.lfilter([1.0], [1.0, -0.9], rng.standard_normal(clean.shape), axis=0)
+    record = Record(inputs, clean + 0.1 * clean.std() / noise.std() * noise, system.dt)
+    found = search([record])
+    _, final = fit_all_rows([record], found)
+    assert final.noise is not None
+    modes = extract_modes(final.realisation)
+    whole, half = (with_deviations(modes, final, [record], measured_share=share)[1] for share in (1.0, 0.5))
+    for name in ("frequency_std", "damping_ratio_std", "shape_std", "markov_std", "mass_std"):
+        np.testing.assert_allclose(getattr(half, name), 2.0 * getattr(whole, name), rtol=1e-6, atol=1e-14)

@@ -216,9 +216,18 @@ def test_a_record_is_not_decimated_where_that_would_mix_in_what_was_filled():
     by_turns = oversampled(gone("by turns", 6000))
     whole = prepare([by_turns])
     assert whole.records[0].dt == 0.01
-    assert "made of measured ones alone" in next(c for c in whole.choices if c.what == "frequency band").reason
-    with pytest.raises(InvalidDataError, match=r"decimated by 4, only 0 % of the samples .* leave decimation out"):
+    assert "without what was filled" in next(c for c in whole.choices if c.what == "frequency band").reason
+    with pytest.raises(InvalidDataError, match=r"by 4 would leave 0 % of what .* of output_0 .* leave decimation out"):
         prepare([by_turns], decimation=4)
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_half_of_the_rows_are_not_decimated_without_inputs_either(first):
+    """One half left nothing measured and ended in a division by zero, the other all, and no word of the rest."""
+    _, record = clean_and_noisy(8)
+    rows = np.arange(N)[:, np.newaxis] % 2 == first
+    with pytest.raises(InvalidDataError, match=r"by 2 would leave 0 %"):
+        modal.identify(Record([], np.where(rows, np.nan, record.outputs), record.dt), decimation=2)
 
 
 @pytest.mark.parametrize("turns", [3, 4])
@@ -260,3 +269,16 @@ def test_blows_at_other_turns_tell_lines_from_images():
     for mode, (frequency, ratio) in zip(found, truth, strict=True):
         assert abs(mode.frequency - frequency) < 4 * mode.frequency_std
         assert abs(mode.damping_ratio - ratio) < 4 * mode.damping_ratio_std
+
+
+@pytest.mark.parametrize(("echo", "follows"), [(0.0, False), (0.05, True)])
+def test_what_the_model_leaves_of_the_measured_samples_is_asked_whether_it_follows_the_inputs(echo, follows):
+    """Errors of an observer follow what filled them; asking nothing instead would hide what no pole makes."""
+    rng, n = np.random.default_rng(0), 3000
+    force = rng.standard_normal(n)
+    pole = np.exp((-0.02 + 1j) * 2 * np.pi * 5.0 * 0.01)
+    moved = scipy.signal.lfilter([0, 1], [1, -2 * pole.real, abs(pole) ** 2], force)
+    outputs = moved / moved.std() + echo * np.r_[np.zeros(15), force[:-15]] + 0.05 * rng.standard_normal(n)
+    outputs[rng.random(n) < 0.2] = np.nan
+    said = modal.identify(Record(force, outputs, 0.01), order=2).warnings
+    assert any("leaves over still follows the inputs" in one for one in said) is follows

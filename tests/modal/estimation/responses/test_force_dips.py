@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from modal.estimation.force_dips import _mixture
+from modal.estimation.responses.force_dips import _mixture
 
 
 def both(values):

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.estimation.response_fit import ResponseFit, ResponseLines, Start, losses, refined, without_pole
-from modal.estimation.response_noise import Noise, lines_joined, noise_of
+from modal.estimation.responses.fit import ResponseFit, ResponseLines, Start, losses, refined, without_pole
+from modal.estimation.responses.noise import Noise, lines_joined, noise_of
 from okid.arrays import TINY, ComplexArray, FloatArray
 
 WITHOUT_GAIN = 4

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from modal.estimation.response_fit import (
+from modal.estimation.responses.fit import (
     LARGEST_SIZE,
     ResponseFit,
     ResponseLines,

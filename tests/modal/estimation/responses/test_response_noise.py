@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from response_tables import averaged, drawn_structure, held_response
 
-from modal.estimation.response_fit import lines_of, refined
-from modal.estimation.response_noise import (
+from modal.estimation.responses.fit import lines_of, refined
+from modal.estimation.responses.noise import (
     beyond_blocks,
     noise_of,
     pole_deviations,
     residue_deviations,
     with_powers,
 )
-from modal.estimation.response_order import first_weight, weight_of
+from modal.estimation.responses.order import first_weight, weight_of
 from okid.frequency_response import FrequencyResponse
 
 
@@ -124,7 +124,7 @@ def test_deviations_of_shapes_do_not_hold_the_weights_of_all_modes_at_once(drive
     """20 outputs, 2 references, 513 lines and 12 poles took half a gigabyte, and 8193 lines would take eight."""
     table, fit, _ = driven
     noise = noise_of(table, fit)
-    monkeypatch.setattr("modal.estimation.response_noise.MOST_WEIGHTS", 1)
+    monkeypatch.setattr("modal.estimation.responses.noise.MOST_WEIGHTS", 1)
     tracemalloc.start()
     apart = residue_deviations(table, fit, noise, range(5))
     peaks = [tracemalloc.get_traced_memory()[1]]

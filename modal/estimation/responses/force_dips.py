@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modal.estimation.response_fit import LARGEST_SIZE, MOST_DAMPING, ResponseFit, ResponseLines, orthonormal
+from modal.estimation.responses.fit import LARGEST_SIZE, MOST_DAMPING, ResponseFit, ResponseLines, orthonormal
 from okid.arrays import TINY, ComplexArray, FloatArray
 
 FIRST_STEPS, MOST_STEPS = 8, 24
@@ -72,7 +72,7 @@ def with_dips(
         table: that was fitted.
         models: of it without dips, the best first, then with fewer and fewer poles: what a pole did beside a resonance
             a dip may do better.
-        weight_of: one over the deviations of the table's values about a model, as in `response_fit.fit_at`.
+        weight_of: one over the deviations of the table's values about a model, as in `responses.fit.fit_at`.
         evidence: of a squared error with so many unknowns; the least counts.
     """
     if table.values.shape[2] != 1 or not table.leaks:

@@ -1,0 +1,1 @@
+"""Poles and shapes fitted to frequency responses, with the noise of their lines and the order."""
