@@ -25,10 +25,11 @@ from modal.identification.result import Identification
 from modal.modes.modal_form import discrete_poles, modal_basis
 from modal.modes.modal_mass import driving_point_of, normalise_shapes, phase_words
 from modal.modes.mode import Choice, Fit, ModalModel, Mode, Uncertainty, numbered
-from modal.preparation.band import follows_powers, missed_share, share_that_follows
+from modal.preparation.band import missed_share, share_that_follows
 from modal.preparation.delay import late_and_early, late_inputs
 from modal.preparation.drift import summed_inputs, without_drift
 from modal.verdict.judgement import DOUBTED
+from modal.verdict.linearity import NOT_LINEAR, chance_of_powers
 from modal.verdict.probability import FILTER_EDGE, LEAST_FIT, MOST_MISSED
 from modal.wording.text import NINETY_FIVE, fit_text, hertz, listed
 from okid.errors import IdentificationError, IdentificationWarning, InvalidDataError
@@ -64,7 +65,7 @@ def with_undriven(result: Identification, again: Callable[[Sequence[Record]], Id
     ]
     if not own:
         return result
-    crooked = follows_powers(result.records, result.simulated, left)
+    crooked = chance_of_powers(result.records, result.predicted) < NOT_LINEAR
     return _joined(result, ambient, [_told(mode, result.channels.n_inputs, crooked=crooked) for mode in own])
 
 

@@ -31,7 +31,6 @@ from modal.identification.words import (
     explain_noise,
     explain_scoring,
     explain_search,
-    filled_words,
     noise_words,
     order_evidence,
     records_apart,
@@ -60,8 +59,9 @@ from modal.preparation.rest import RELEASED, released
 from modal.preparation.steps import Preparation, prepare
 from modal.verdict.constancy import changing_modes, unsteady_drive
 from modal.verdict.excitation import between_lines, beyond_inputs, by_chance, driven_gain, ringing, standing_out
-from modal.verdict.filled import told_where_measured
+from modal.verdict.filled import filled_words, told_where_measured
 from modal.verdict.judgement import judge
+from modal.verdict.linearity import NOT_LINEAR, chance_of_powers
 from modal.verdict.probability import FILTER_EDGE
 from modal.verdict.repeatability import repeat
 from modal.verdict.ring_down import RingDownAnswer, told_of_ring_down
@@ -350,7 +350,7 @@ def _identified(
     Where its noise was made white, the modes are judged on what is filtered: there each is found again, or not, by what
     stands beside it.
     """
-    prepared = preparation.records
+    prepared, is_driven = preparation.records, kind.kind == "driven"
     asked = prepared if white is None else white.records
     searched = found if white is None else white.found
     n_rest = preparation.n_rest
@@ -391,7 +391,7 @@ def _identified(
         chance_line=by_chance(unjudged, asked, left_there) if by_inputs else None,
         lines=lines,
         beyond=beyond_inputs(unjudged, asked, left_there, output_scale=reruns.output_scale)
-        if kind.kind == "driven" and prepared[0].n_inputs and lines is None
+        if is_driven and prepared[0].n_inputs and lines is None
         else None,
         n_values=preparation.n_values,
         edge=FILTER_EDGE * 0.5 / prepared[0].dt if prepared[0].dt > 1.5 * records[0].dt else np.inf,
@@ -408,7 +408,7 @@ def _identified(
             [mode.frequency for mode in unjudged.modes],
             [0.5 * mode.damping_ratio * mode.frequency for mode in unjudged.modes],
         )
-        if kind.kind == "driven"
+        if is_driven
         else None,
         ringing=ringing(unjudged, prepared, left) if kind.kind in ("transient", "decay") else None,
         rings_down=kind.kind == "decay",
@@ -418,7 +418,8 @@ def _identified(
         height=standing_out(unjudged, prepared) if kind.kind == "ambient" else None,
         ahead=late_and_early(preparation.input_delay)[1],
     )
-    modes = told_where_measured(modes, prepared, left, preparation.measured, is_driven=kind.kind == "driven")
+    fitted = final.refined is not None or final.noise is not None
+    modes = told_where_measured(modes, prepared, left, preparation.measured, is_driven=is_driven, is_fitted=fitted)
     left_seen = [np.where(there, one, np.nan) for one, there in zip(left, preparation.measured, strict=True)]
     ringing_down = RingDownAnswer(modes=modes)
     if kind.kind in ("transient", "decay"):  # a sample that was filled by a linear model tells nothing of another
@@ -431,7 +432,8 @@ def _identified(
             is_decay=kind.kind == "decay",
         )
     modes = ringing_down.modes
-    of_inputs = driven_by_inputs(modes, preparation.n_integrators)
+    varying = changing_modes(modes, asked, left_there, output_scale=reruns.output_scale) if is_driven else ()
+    chance = chance_of_powers(runs.records, runs.predicted) if is_driven and final.feedback == "none" else 1.0
     tell("checking residuals", 0.9)
     fitted_to = runs.records
     if final.refined is not None and final.noise is None and white is None:
@@ -449,7 +451,7 @@ def _identified(
         realisation=preparation.complete(model),
         fitted_model=model,
         modes=replace(
-            acting_at_once(of_inputs, preparation.input_delay),
+            acting_at_once(driven_by_inputs(modes, preparation.n_integrators), preparation.input_delay),
             output_names=prepared[0].output_names,
             output_units=prepared[0].output_units,
             input_names=prepared[0].input_names,
@@ -474,14 +476,10 @@ def _identified(
         warnings=(
             *kind.warnings,
             *preparation.warnings,
-            *filled_words(preparation, of_measured=final.refined is not None and final.noise is None),
+            *filled_words(preparation, of_measured=fitted and final.noise is None, is_driven=is_driven),
             *ringing_down.warnings,
             *unsteady,
-            *(
-                changing_modes(modes, asked, left_there, output_scale=reruns.output_scale)
-                if kind.kind == "driven"
-                else ()
-            ),
+            *varying,
             *warnings_in_words(
                 prepared,
                 fit=fit,
@@ -492,6 +490,7 @@ def _identified(
                 residuals=innovations if searched.chosen.grew and innovations else residuals,
                 seen=None if not preparation.measured_if_filled else left_seen if final.leaves_nearly_white else (),
                 found=searched,
+                is_linear=not chance < NOT_LINEAR,
             ),
             *records_apart(*left_alone_and_together(prepared, left)),
             *noise_words(modes, inflation),

@@ -25,7 +25,6 @@ from modal.identification.refined_search import MOST_STEPS
 from modal.identification.result import Identification, OrderEvidence
 from modal.modes.modal_mass import DERIVATIVES
 from modal.modes.mode import Choice, Fit, ModalModel, Mode
-from modal.preparation.steps import Preparation
 from modal.verdict.excitation import BetweenLines
 from modal.verdict.judgement import DOUBTED, Reruns
 from modal.verdict.probability import MOST_MISSED
@@ -239,6 +238,7 @@ def warnings_in_words(
     residuals: ResidualCheck,
     seen: Sequence[FloatArray] | None,
     found: Search,
+    is_linear: bool = True,
 ) -> tuple[str, ...]:
     """What the user must read before believing a number; empty when all is well.
 
@@ -246,27 +246,8 @@ def warnings_in_words(
     samples were filled, both follow what filled them: in their place stands what the model leaves of the measured ones
     where that is nearly white, NaN elsewhere, else nothing.
     """
-    words = []
     driven = records[0].n_inputs > 0
-    if fit.mean < EXPLAINS or missed > MOST_MISSED:
-        what = "a free run of the model" if driven else "one-step prediction"
-        how = f"{what} reproduces {reproduced(fit.mean)} of data kept aside"
-        if missed > MOST_MISSED or not driven or not modes.system:
-            much = f" and leaves {100 * missed:.0f} % of what the inputs explain" if missed > MOST_MISSED else ""
-            words.append(f"The model does not explain the data: {how}{much}, so no mode is certain.")
-        else:
-            words.append(
-                f"Noise or forces that were not measured make most of the outputs: {how}, and what it leaves "
-                "does not follow the inputs. The modes hold all the same: each is judged by itself."
-            )
-    else:
-        poor = [
-            f"{name} ({value:.2f})"
-            for name, value in zip(records[0].output_names, fit.cross_validated, strict=True)
-            if value < EXPLAINS
-        ]
-        if poor:
-            words.append(f"The model does not reproduce these outputs (fit to data kept aside): {', '.join(poor)}.")
+    words = _fit_words(records[0], fit, missed, has_modes=bool(modes.system), is_linear=is_linear)
     if min(float(np.ptp(fit.folds)), float(np.ptp(_fits_to_all(found)))) > FOLDS_APART:
         words.append(
             f"Parts of the data fit very differently ({fit.folds.min():.2f} to {fit.folds.max():.2f} over the folds): "
@@ -302,19 +283,37 @@ def warnings_in_words(
     return (*words, *(() if excitation is None else _excitation_words(excitation)))
 
 
-def filled_words(prepared: Preparation, *, of_measured: bool) -> tuple[str, ...]:
-    """That outputs were filled, where they were, and what that does to modes and deviations."""
-    share = prepared.measured_share
-    if share == 1.0:
-        return ()
-    said = f"{100 * (1.0 - share):.3g} % of the output samples were missing and have been filled by a model of the rest"
-    if of_measured:
-        return (f"{said}; modes and their deviations rest on the measured samples, residuals and pictures on all.",)
-    text = (
-        f"{said}, so the fits look better than what was measured allows; deviations have been widened by as much. "
-        "Where a record can be repeated, sample all channels together."
-    )
-    return (text,)
+def _fit_words(record: Record, fit: Fit, missed: float, *, has_modes: bool, is_linear: bool) -> list[str]:
+    """How little the model reproduces of such records, and why, where that is little."""
+    words, driven = [], record.n_inputs > 0
+    if fit.mean < EXPLAINS or missed > MOST_MISSED:
+        what = "a free run of the model" if driven else "one-step prediction"
+        how = f"{what} reproduces {reproduced(fit.mean)} of data kept aside"
+        if missed > MOST_MISSED or not driven or not has_modes:
+            much = f" and leaves {100 * missed:.0f} % of what the inputs explain" if missed > MOST_MISSED else ""
+            words.append(f"The model does not explain the data: {how}{much}, so no mode is certain.")
+        elif is_linear:
+            words.append(
+                f"Noise or forces that were not measured make most of the outputs: {how}, and what it leaves "
+                "does not follow the inputs. The modes hold all the same: each is judged by itself."
+            )
+        else:
+            words.append(f"{how[0].upper()}{how[1:]}; each mode is judged by itself.")
+    else:
+        poor = [
+            f"{name} ({value:.2f})"
+            for name, value in zip(record.output_names, fit.cross_validated, strict=True)
+            if value < EXPLAINS
+        ]
+        if poor:
+            words.append(f"The model does not reproduce these outputs (fit to data kept aside): {', '.join(poor)}.")
+    if not is_linear:
+        words.append(
+            "Something is not linear: errors of the prediction follow squares and cubes of the motion, as they do by "
+            "chance in less than one record of a thousand. Modes and damping are an average at this level of motion, "
+            "and another level gives others; `modal-report gap` names the effect."
+        )
+    return words
 
 
 def _what_follows(ratio: float, *, of_model: bool) -> tuple[str, ...]:

@@ -253,63 +253,6 @@ def share_that_follows(
     return shares
 
 
-N_SHIFTS = 19
-"""Compare what a signal explains with what so many shifts of it do: chance alone is best once in twenty times."""
-MOST_MOTIONS = 2
-"""Take powers of so many independent motions at most."""
-
-
-def follows_powers(records: Sequence[Record], runs: Sequence[Record], left: Sequence[FloatArray]) -> bool:
-    """Whether what a model leaves follows powers of the motion that it makes of the inputs, beyond chance.
-
-    What is not linear answers to the square and the cube of the motion; forces that were not measured know nothing of
-    it. Two principal motions of the free run give their second and third Hermite polynomials (which for a normal motion
-    have nothing in common with itself), and the mean multiple coherence of inputs and these with what is left must be
-    the largest among as many circular shifts of these: an exact test, whatever the noise (Fisher). It is kept from
-    telling by feedback beside a level that changes, where linear records are accused too.
-
-    Args:
-        records: with inputs.
-        runs: free run of the model through each.
-        left: (n_samples, n_outputs) a record.
-
-    References:
-        Bendat, Nonlinear Systems Techniques and Applications, 1998, chapter 5 (powers of the motion as further inputs).
-
-    Example:
-        >>> force, noise = np.random.default_rng(0).standard_normal((2, 8000, 1))
-        >>> record = Record(force, force + 0.3 * force**3, 0.01)
-        >>> run, rest = Record(force, 1.9 * force, 0.01), record.outputs - 1.9 * force
-        >>> follows_powers([record], [run], [rest + noise]), follows_powers([record], [run], [noise])
-        (True, False)
-    """
-    n_inputs, n_segment = records[0].n_inputs, _segment_length(records)
-    motions = np.vstack([run.outputs for run in runs])
-    motions = motions / np.maximum(motions.std(axis=0), TINY)
-    motion = np.linalg.svd(motions, full_matrices=False)[0][:, :MOST_MOTIONS]
-    motion = (motion - motion.mean(axis=0)) / np.maximum(motion.std(axis=0), TINY)
-    powers = np.split(
-        np.hstack([motion**2 - 1.0, motion**3 - 3.0 * motion]), np.cumsum([len(one) for one in left])[:-1]
-    )
-
-    n_causes = n_inputs + powers[0].shape[1]
-
-    def explained(shift: int) -> float:
-        beside = [  # without stubs, of which no segment is made
-            Record(
-                np.hstack([record.inputs, np.roll(own, shift * len(own) // (N_SHIFTS + 1), axis=0)]), rest, record.dt
-            )
-            for record, own, rest in zip(records, powers, left, strict=True)
-            if len(rest) >= n_segment
-        ]
-        spectra, n_averages = _spectra(beside, n_segment)
-        return float(_multiple_coherence(spectra, n_causes, n_averages, clip=False).mean())
-
-    if n_inputs == 0 or n_causes > n_segment or _spectra(records, n_segment)[1] < 2 * n_causes + 2:
-        return False
-    return explained(0) > max(explained(shift) for shift in range(1, N_SHIFTS + 1))
-
-
 def _upper_frequency(frequencies: FloatArray, spectra: ComplexArray, coherence: FloatArray) -> float | None:
     """Below it lies `COHERENT_POWER` of every output's coherent power; None when no output follows any input."""
     best = coherence.max(axis=1)

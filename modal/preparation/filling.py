@@ -80,10 +80,9 @@ def fill_where_needed(records: Sequence[Record]) -> Filling:
         for record, there, one in zip(records, measured, done, strict=True)
     )
     n_missing = sum(int((~there).sum()) for there in measured)
-    missing = n_missing / sum(there.size for there in measured)
     choice = Choice(
         what="missing outputs",
-        value=f"{100 * missing:.3g} % of the samples filled",
+        value=f"{n_missing} samples filled",
         reason=f"an observer of order {order} would find {100 * share:.2g} % of its rows whole; {how}",
     )
     return Filling(records=filled, measured=measured, choices=(choice,))

@@ -31,7 +31,7 @@ from modal.preparation.filling import Filling, fill_where_needed, holds_filled
 from modal.preparation.integrators import choose_integrators, given_integrators, with_integrators
 from modal.preparation.kind import RecordKind, acts
 from modal.preparation.lines import MachineLines, machine_lines
-from modal.preparation.rest import with_rest
+from modal.preparation.rest import Rested, with_rest
 from okid.arrays import BoolArray, FloatArray, whole_number
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record, filter_half_length
@@ -62,6 +62,7 @@ class Preparation:
         choices: all of it, with reasons.
         warnings: what the user must read before believing a number.
         measured: (n_samples, n_outputs) of each of the records, False where a sample was filled.
+        measured_share: of the output samples given that are used; the others were filled.
         n_rest: rows of rest in front of each of the records, which were not measured.
         at_rest: (n_records, n_inputs) variances of the inputs' noise where a force window took it off; else zeros.
     """
@@ -75,6 +76,7 @@ class Preparation:
     choices: tuple[Choice, ...]
     warnings: tuple[str, ...]
     measured: tuple[BoolArray, ...]
+    measured_share: float
     n_rest: tuple[int, ...]
     at_rest: FloatArray
 
@@ -91,13 +93,6 @@ class Preparation:
             np.repeat(one.complete_rows()[:, np.newaxis], one.n_outputs, axis=1) for one in self.records
         ]
         return sum(int(own[n:].sum()) for own, n in zip(there, self.n_rest, strict=True))
-
-    @property
-    def measured_share(self) -> float:
-        """Of the output samples that are there: the others were filled."""
-        there = [np.isfinite(record.outputs) for record in self.records]
-        own = sum(int((one & seen).sum()) for one, seen in zip(there, self.measured, strict=True))
-        return own / max(1, sum(int(one.sum()) for one in there))
 
     def complete(self, realisation: Realisation) -> Realisation:
         """The model fitted to `records` with integrators and delays as states, driven by the inputs as measured.
@@ -221,9 +216,18 @@ def prepare(
             _made_of_measured(seen, factor)[late : record.n_samples - early]
             for seen, record in zip(filling.measured, own, strict=True)
         ),
+        measured_share=_measured_share(filling, rested),
         n_rest=tuple(max(0, n - late) for n in n_rest),
         at_rest=np.zeros((len(own), first.n_inputs)) if rested is None or number else rested.at_rest / factor,
     )
+
+
+def _measured_share(filling: Filling, rested: Rested | None) -> float:
+    """Of the output samples that are there, without rest: what a filter makes of filled ones is still that share."""
+    n_rest = (0,) * len(filling.records) if rested is None else rested.n_rest
+    there = [np.isfinite(record.outputs[n:]) for record, n in zip(filling.records, n_rest, strict=True)]
+    own = [one & seen[n:] for one, seen, n in zip(there, filling.measured, n_rest, strict=True)]
+    return sum(int(one.sum()) for one in own) / max(1, sum(int(one.sum()) for one in there))
 
 
 def _gap_warnings(gaps: tuple[Choice, ...]) -> tuple[str, ...]:

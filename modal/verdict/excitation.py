@@ -26,7 +26,6 @@ from modal.estimation.free_run import filled
 from modal.estimation.whitening import output_filters, stretches
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel, Mode
-from modal.preparation.band import N_SHIFTS
 from modal.preparation.kind import acting_rows
 from modal.preparation.lines import MAIN_LOBE, blackman_harris, line_bins
 from modal.verdict.probability import FEWEST_TURNS, HARDLY_DRIVEN, LEAST_HEIGHT, RESOLVED, drifting, f_ratio
@@ -35,6 +34,8 @@ from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 from okid.rows import complete_rows, runs_of, usable_rows
 
+N_SHIFTS = 19
+"""Compare what the inputs explain with what so many shifts of them do: chance alone is best once in twenty times."""
 LEAST_DECAY = 1.0
 """Decay -Re(s) T over the longest record below which a mode cannot be told from a line that never ends."""
 DEVIATIONS = 3.0

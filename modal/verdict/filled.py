@@ -7,38 +7,56 @@ count filled samples as if they told the same. So a mode whose answer was mostly
 measured alone, by Schwarz's criterion: without it, all others free to take its part, the squared error must grow by
 more than its numbers cost; in each output by more than a shape does, or that output is none of its.
 
-Where nothing drives throughout, only the outputs tell a line from its images, by the frequencies at which rows were
-measured: one that all outputs see at their own rates stands at each of them as well as at its own frequency.
+Which of a line and its images it is, `modal.verdict.images` says where all moves all the time; what rings down is asked
+here, with an image in the place of its line.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from fractions import Fraction
 
 import numpy as np
 
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel
-from modal.preparation.filling import holds_filled, measured_instead
+from modal.preparation.filling import holds_filled
+from modal.preparation.steps import Preparation
 from modal.verdict.excitation import answer_from_rest
+from modal.verdict.images import apart_in_spectra, poles_of_images, told_below
 from modal.verdict.judgement import doubted
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 
 MOSTLY = 0.45
 """Ask where more than this share of what a mode does was filled, each output in units of its noise."""
-ALIKE_SIZE = 10.0
-"""Take what is larger than so many times its image for the line itself, and what decays faster for no image of it."""
-MOST_TURNS = 64
-"""Take rows to come by turns of no more: a line of the spectrum tells their number."""
-STANDS_ALONE = 100.0
-"""Take a line of the rows for one of turns where it is so many times what stands beside it."""
-RARE = 1e-3
-"""Let the rows that chance chooses show a line no more often."""
 ALIKE = 1e-9
 """Take columns for one where their products cannot be told apart below this share."""
 OF_IMAGES = "an image of it fits outputs measured in so different rows as well"
+OF_FILLED = "no model was fitted to measured samples alone, and errors of what was filled are found again"
 WHY = "most of what shows it was filled, and in the samples that were measured it may be chance"
+
+
+def filled_words(prepared: Preparation, *, of_measured: bool, is_driven: bool) -> tuple[str, ...]:
+    """That outputs were filled, where they were, and what that does to modes and deviations."""
+    share, dt = prepared.measured_share, prepared.records[0].dt
+    if share == 1.0:
+        return ()
+    said = f"{100 * (1.0 - share):.3g} % of the output samples were missing and have been filled by a model of the rest"
+    if of_measured:
+        said += "; modes and their deviations rest on the measured samples, residuals and pictures on all."
+    else:
+        said += (
+            ", so the fits look better than what was measured allows; deviations have been widened by as much. "
+            "Where a record can be repeated, sample all channels together."
+        )
+    rows = [own[n:] for own, n in zip(prepared.measured, prepared.n_rest, strict=True)]
+    below = 0.5 / dt if is_driven else told_below(rows, dt)
+    if below == 0.5 / dt:
+        return (said,)
+    images = (
+        f"Lines above {below:.4g} Hz look like others below in the rows in which outputs were measured: the lower is "
+        "taken where nothing tells which it is, as in every record sampled at that rate."
+    )
+    return said, images
 
 
 def told_where_measured(
@@ -48,6 +66,7 @@ def told_where_measured(
     measured: Sequence[BoolArray],
     *,
     is_driven: bool,
+    is_fitted: bool,
 ) -> ModalModel:
     """The modes, doubtful where what was measured does not tell them, or not from each other.
 
@@ -57,13 +76,17 @@ def told_where_measured(
         left: (n_samples, n_outputs) a record, what the model's free run leaves.
         measured: the same shape, False where a sample was filled.
         is_driven: throughout; what rings down after a blow or a release is fitted as well by the images of its lines.
+        is_fitted: to the outputs or their noise, not to what the filling made of them.
     """
     if not holds_filled(records, measured) or not modes.system:
         return modes
     if not records[0].n_inputs:
-        return _apart_from_each_other(modes, records, measured)
+        return apart_in_spectra(modes, records, measured)
+    if not is_fitted:
+        told = [doubted(mode, OF_FILLED) if mode.verdict == "system" else mode for mode in modes.modes]
+        return replace(modes, modes=tuple(told))
     there = [own & np.isfinite(errors) for own, errors in zip(measured, left, strict=True)]
-    modes = modes if is_driven else _apart_from_images(modes, records, left, there, _shifts(measured))
+    modes = modes if is_driven else _apart_from_images(modes, records, left, there)
     gained, share, counts = _gained(modes, records, left, there)
     told = []
     for i, mode in enumerate(modes.modes):
@@ -74,93 +97,48 @@ def told_where_measured(
     return replace(modes, modes=tuple(told))
 
 
-def _apart_from_each_other(modes: ModalModel, records: Sequence[Record], measured: Sequence[BoolArray]) -> ModalModel:
-    """The modes, doubtful where they stand at the image of one that is not far smaller."""
-    shifts = _shifts(measured) / records[0].dt
-    sizes, rate = _sizes(modes, records), 1.0 / records[0].dt
-    resolution = 2.0 / max(record.duration for record in records)
-    told = list(modes.modes)
-    decays = np.array([abs(mode.damping_ratio) * mode.frequency for mode in told])
-    for i, one in enumerate(modes.modes):
-        for j, other in enumerate(modes.modes):
-            alike = max(sizes[i] / sizes[j], decays[j] / decays[i]) <= ALIKE_SIZE  # an image decays as its line does
-            if i == j or one.verdict != "system" or other.verdict == "noise" or not alike:
-                continue
-            width = resolution + 2.0 * decays[i]
-            far = shifts[shifts > width]
-            images = np.abs(np.concatenate([other.frequency + far, other.frequency - far]))
-            images = np.minimum(images % rate, rate - images % rate)
-            if (np.abs(images - one.frequency) <= width).any():
-                why = f"outputs measured in so different rows do not tell it from an image of {other.frequency:.4g} Hz"
-                told[i] = doubted(one, why)
-    return replace(modes, modes=tuple(told))
-
-
 def _apart_from_images(
-    modes: ModalModel,
-    records: Sequence[Record],
-    left: Sequence[FloatArray],
-    there: Sequence[BoolArray],
-    shifts: FloatArray,
+    modes: ModalModel, records: Sequence[Record], left: Sequence[FloatArray], there: Sequence[BoolArray]
 ) -> ModalModel:
     """The modes, doubtful where an image fits what was measured as well: in its place, all shapes free, by Schwarz."""
     poles, is_pair = discrete_poles(modes.modes, modes.dt)
-    turned = np.concatenate([poles * np.exp(sign * 2j * np.pi * one) for one in shifts for sign in (1.0, -1.0)] or [[]])
-    asked = np.array([mode.verdict == "system" for mode in modes.modes]) & is_pair
-    whose = np.tile(np.arange(poles.size), 2 * shifts.size)
-    turned, whose = turned[asked[whose]], whose[asked[whose]]
-    if not whose.size:
-        return modes
-    images = np.where(turned.imag < 0.0, turned.conj(), turned)
-    both = replace(modes, modes=(*modes.modes, *(modes.modes[i] for i in whose)))
-    poles, is_pair = np.concatenate([poles, images]), np.concatenate([is_pair, is_pair[whose]])
-    at_once = np.full(records[0].n_inputs, -1)
-    owner = np.concatenate([np.arange(poles.size), np.flatnonzero(is_pair), at_once])
-    sums = _sums(both, poles, is_pair, records, left, there=there, n_shown=len(modes.modes), direct=True)
-    n_outputs, known = records[0].n_outputs, owner < len(modes.modes)
+    n_inputs, n_outputs, n = records[0].n_inputs, records[0].n_outputs, len(modes.modes)
+    sums = _sums(modes, records, left, there, n_direct=n_inputs)
+    owner = np.concatenate([np.arange(n), np.flatnonzero(is_pair), np.full(n_inputs, -1)])
+    every = np.ones(owner.size, dtype=np.bool_)
+    least = np.array([_explained(own, cross, every) for own, cross in zip(sums.own, sums.cross, strict=True)])
+    variance = np.maximum((sums.power - least) / np.maximum(1.0, sums.counts), TINY)
     price, told = 2 * n_outputs * np.log(sums.counts.sum()), list(modes.modes)
-    for k, i in enumerate(whose):
-        with_image = (known & (owner != i)) | (owner == len(modes.modes) + k)
-        lost = 0.0
-        for own, cross, power, count in zip(sums.own, sums.cross, sums.power, sums.counts, strict=True):
-            least = _explained(own, cross, known)
-            lost += (least - _explained(own, cross, with_image)) / max((power - least) / max(1.0, count), TINY)
-        if lost <= price:
-            told[i] = doubted(told[i], OF_IMAGES)
+    second = n + np.cumsum(is_pair) - 1
+    for i in np.flatnonzero(is_pair & [mode.verdict == "system" for mode in modes.modes]).tolist():
+        alone, free = replace(modes, modes=(modes.modes[i],)), np.append(owner != i, [True, True])
+        answers = [columns[:, i] - 1j * columns[:, second[i]] for columns in sums.columns]
+        for image in poles_of_images(complex(poles[i]), answers, there):
+            columns = [_answers(alone, np.array([image]), np.array([True]), record) for record in records]
+            lost = 0.0
+            for o in range(n_outputs):
+                own, cross = _bordered(sums, columns, there, o)
+                lost += (least[o] - _explained(own, cross, free)) / variance[o]
+            if lost <= price:
+                told[i] = doubted(told[i], OF_IMAGES)
+                break
     return replace(modes, modes=tuple(told))
 
 
-def _shifts(measured: Sequence[BoolArray]) -> FloatArray:
-    """[1 / sample] at which lines have images in all outputs that no other was measured instead of."""
-    together = np.vstack(measured)
-    alone = [i for i in range(together.shape[1]) if not measured_instead(together, i)]
-    lines = [_lines(own[:, i]).round(9) for own in measured for i in alone]
-    return np.unique(np.concatenate(lines)) if lines else np.empty(0)
-
-
-def _lines(there: BoolArray) -> FloatArray:
-    """Frequencies [1 / sample] of the turns by which rows were measured: beyond chance, and nothing beside them."""
-    share, n = float(there.mean()), there.size
-    power = np.abs(np.fft.rfft((there - share) * np.hanning(n))) ** 2 / (0.375 * n)
-    beside = np.maximum(np.pad(power, (4, 0))[: power.size], np.pad(power, (0, 4))[4:])  # beyond the window's lobe
-    least = share * (1.0 - share) * np.log(power.size / RARE)
-    lines, slowest = np.fft.rfftfreq(n), 1.0 / MOST_TURNS - 1.0 / n  # a gap, or rest in front, is no turn
-    found = lines[(power > least) & (power > STANDS_ALONE * beside) & (lines >= slowest)].tolist()
-    exact = [float(Fraction(one).limit_denominator(MOST_TURNS)) for one in found]
-    return np.array([other if abs(other - one) <= 1.0 / n else one for one, other in zip(found, exact, strict=True)])
-
-
-def _sizes(modes: ModalModel, records: Sequence[Record]) -> FloatArray:
-    """(n_modes,) power within the half-power bandwidth of each, every output over its own."""
-    sizes = np.zeros(len(modes.modes))
-    for record in records:
-        motion = record.outputs - record.outputs.mean(axis=0)
-        power = np.square(np.abs(np.fft.rfft(motion / np.maximum(motion.std(axis=0), TINY), axis=0))).sum(axis=1)
-        frequencies = np.fft.rfftfreq(record.n_samples, record.dt)
-        for i, mode in enumerate(modes.modes):
-            width = max(abs(mode.damping_ratio) * mode.frequency, 2.0 / record.duration)
-            sizes[i] += power[np.abs(frequencies - mode.frequency) <= width].sum()
-    return sizes
+def _bordered(
+    sums: "_Sums", columns: Sequence[FloatArray], there: Sequence[BoolArray], output: int
+) -> tuple[FloatArray, FloatArray]:
+    """Products of one output with further columns after all others: of columns, and with what was measured."""
+    n, more = sums.cross.shape[1], columns[0].shape[1]
+    own, cross = np.zeros((n + more, n + more)), np.zeros(n + more)
+    own[:n, :n], cross[:n] = sums.own[output], sums.cross[output]
+    for known, new, wanted, rows in zip(sums.columns, columns, sums.wanted, there, strict=True):
+        part = new[rows[:, output]]
+        own[:n, n:] += known[rows[:, output]].T @ part
+        own[n:, n:] += part.T @ part
+        cross[n:] += part.T @ wanted[rows[:, output], output]
+    own[n:, :n] = own[:n, n:].T
+    return own, cross
 
 
 def _gained(
@@ -175,8 +153,9 @@ def _gained(
     poles, is_pair = discrete_poles(modes.modes, modes.dt)
     owner = np.concatenate([np.arange(poles.size), np.flatnonzero(is_pair)])
     n, n_outputs = owner.size, records[0].n_outputs
-    sums = _sums(modes, poles, is_pair, records, left, there=there, n_shown=len(modes.modes))
-    own, cross, whole, sizes, power, counts = sums.own, sums.cross, sums.whole, sums.shapes, sums.power, sums.counts
+    sums = _sums(modes, records, left, there)
+    own, cross, sizes, power, counts = sums.own, sums.cross, sums.shapes, sums.power, sums.counts
+    whole = sum((columns.T @ columns for columns in sums.columns), np.zeros((n, n)))
     gained, every, seen = (np.zeros((poles.size, n_outputs)) for _ in range(3))
     for o in range(n_outputs):
         least = _explained(own[o], cross[o], np.ones(n, dtype=np.bool_))
@@ -192,20 +171,22 @@ def _gained(
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Sums:
-    """Products of the answers of modes with each other and with what was measured.
+    """Answers of modes, and their products with each other and with what was measured.
 
     Attributes:
+        columns: (n_samples, n) a record, answers in all rows.
+        wanted: (n_samples, n_outputs) a record, what was measured; what was filled means nothing.
         own: (n_outputs, n, n) of answers, where each output was measured.
         cross: (n_outputs, n) with that output.
-        whole: (n, n) of answers over all rows.
         shapes: (n_outputs, n) that the model has.
         power: (n_outputs,) squares of each output.
         counts: (n_outputs,) how many samples were measured.
     """
 
+    columns: tuple[FloatArray, ...]
+    wanted: tuple[FloatArray, ...]
     own: FloatArray
     cross: FloatArray
-    whole: FloatArray
     shapes: FloatArray
     power: FloatArray
     counts: FloatArray
@@ -213,36 +194,39 @@ class _Sums:
 
 def _sums(
     modes: ModalModel,
-    poles: ComplexArray,
-    is_pair: BoolArray,
     records: Sequence[Record],
     left: Sequence[FloatArray],
-    *,
     there: Sequence[BoolArray],
-    n_shown: int,
-    direct: bool = False,
+    *,
+    n_direct: int = 0,
 ) -> _Sums:
-    """Of modes with these poles, of which the first so many are those of the model that leaves the errors.
-
-    Inputs that act at once come after them, where what the model says of these is to be free as well.
-    """
-    n_direct = records[0].n_inputs if direct else 0
+    """Of all modes of the model that leaves the errors; so many inputs that act at once come after them, to be free."""
+    poles, is_pair = discrete_poles(modes.modes, modes.dt)
     n, n_outputs = poles.size + int(is_pair.sum()) + n_direct, records[0].n_outputs
-    own, cross, whole = np.zeros((n_outputs, n, n)), np.zeros((n_outputs, n)), np.zeros((n, n))
+    own, cross = np.zeros((n_outputs, n, n)), np.zeros((n_outputs, n))
     power, counts = np.zeros(n_outputs), np.zeros(n_outputs)
-    shown = np.array([mode.shape for mode in modes.modes]).T * (np.arange(poles.size) < n_shown)
+    shown = np.array([mode.shape for mode in modes.modes]).T
     shapes = np.hstack([shown.real, shown.imag[:, is_pair], np.zeros((n_outputs, n_direct))])
+    every, sought = [], []
     for record, errors, rows in zip(records, left, there, strict=True):
         columns = np.hstack([_answers(modes, poles, is_pair, record), record.inputs[:, :n_direct]])
-        whole += columns.T @ columns
+        every.append(columns)
+        sought.append(columns @ shapes.T + errors)
         for o in range(n_outputs):
-            part = columns[rows[:, o]]
-            wanted = part @ shapes[o] + errors[rows[:, o], o]
+            part, wanted = columns[rows[:, o]], sought[-1][rows[:, o], o]
             own[o] += part.T @ part
             cross[o] += part.T @ wanted
             power[o] += wanted @ wanted
             counts[o] += wanted.size
-    return _Sums(own=own, cross=cross, whole=whole, shapes=shapes, power=power, counts=counts)
+    return _Sums(
+        columns=tuple(every),
+        wanted=tuple(sought),
+        own=own,
+        cross=cross,
+        shapes=shapes,
+        power=power,
+        counts=counts,
+    )
 
 
 def _answers(modes: ModalModel, poles: ComplexArray, is_pair: BoolArray, record: Record) -> FloatArray:

@@ -4,7 +4,7 @@ import scipy
 from signals import random_inputs, with_noise
 from systems import initial_state, modal_system, random_chain, simulate
 
-from modal.preparation.band import COHERENT, FOLLOWS, chance_of_following, coherent_band, follows_powers
+from modal.preparation.band import COHERENT, FOLLOWS, chance_of_following, coherent_band
 from okid.record import Record
 
 
@@ -199,13 +199,3 @@ def test_a_mode_that_rings_through_the_whole_record_is_not_taken_for_rest():
     outputs = low + high + 0.005 * rng.standard_normal(4000)
     assert coherent_band([Record(inputs, outputs, 0.01)]).upper_frequency > 30.5
     assert coherent_band([Record(inputs, outputs - high, 0.01)]).upper_frequency < 10.0
-
-
-def test_a_stub_of_a_record_tells_nothing_of_powers_of_the_motion():
-    """It has fewer rows than there are inputs and powers."""
-    force, noise = np.random.default_rng(5).standard_normal((2, 4000, 1))
-    record = Record(force, force + 0.3 * force**3, 0.01)
-    run, rest = Record(force, 1.9 * force, 0.01), record.outputs - 1.9 * force
-    stub, short = Record(force[:2], force[:2], 0.01), Record(force[:2], 1.9 * force[:2], 0.01)
-    assert follows_powers([record, stub], [run, short], [rest + noise, noise[:2]])
-    assert not follows_powers([record, stub], [run, short], [noise, noise[:2]])

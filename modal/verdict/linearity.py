@@ -1,0 +1,101 @@
+"""Is the system linear? What is not answers to squares and cubes of the motion, and a linear model leaves that behind.
+
+The errors e of a linear system's one-step prediction know nothing of what was known before them, whatever drives it and
+however that is distributed: with x(t) the motion that is predicted for t,
+
+    E[ g(x(t), x(t - 1)) e(t) ] = 0,        for any g (a martingale difference).
+
+Squares and cubes are asked. A model that is an average of something not linear cannot have zero there.
+
+References:
+    Billings, Voon, Int. J. Control 44(1), 1986, doi 10.1080/00207178608933593 (residuals against powers).
+    Hotelling, Annals of Mathematical Statistics 2(3), 1931, doi 10.1214/aoms/1177732979.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import scipy
+
+from okid.arrays import TINY, FloatArray
+from okid.record import Record
+from okid.rows import spread_stretches
+
+NOT_LINEAR = 1e-3
+"""Say so where chance makes as much of it less often than this."""
+MOST_MOTIONS = 2
+"""Take powers of so many independent motions at most."""
+LAGS = 2
+"""Take them at so many samples back: what acts between two samples depends on both ends."""
+BLOCKS = 200
+"""Tell the scatter of the products from so many blocks of rows: what is left need not be white within one."""
+MOST_ROWS = 100_000
+"""Ask so many rows at most: what they do not show moves no mode."""
+
+
+def chance_of_powers(records: Sequence[Record], predicted: Sequence[Record]) -> float:
+    """How often the errors of a linear system's prediction follow squares and cubes of what is predicted as well.
+
+    Two principal motions give their second and third Hermite polynomials, less what the predictions and the inputs
+    explain of them linearly. Their products with the errors of an output, summed over blocks, have the mean 0: by
+    Hotelling's T squared, the least chance of all outputs times their number.
+
+    Args:
+        records: with inputs; of others nothing is told, nor of fewer rows than blocks of four.
+        predicted: each one step ahead.
+
+    Example:
+        >>> force, noise = np.random.default_rng(0).standard_normal((2, 8000, 1))
+        >>> record = Record(force, force + 0.1 * force**3 + noise, 0.01)
+        >>> chance_of_powers([record], [Record(force, 1.3 * force, 0.01)]) < 1e-9
+        True
+        >>> chance_of_powers([Record(force, force + noise, 0.01)], [Record(force, force, 0.01)]) > 0.01
+        True
+    """
+    n_inputs, n_outputs = records[0].n_inputs, records[0].n_outputs
+    both = [
+        Record(np.hstack([record.inputs, run.outputs]), record.outputs - run.outputs, record.dt)
+        for record, run in zip(records, predicted, strict=True)
+        if record.n_samples > n_inputs + n_outputs
+    ]
+    if n_inputs == 0 or sum(one.n_samples for one in both) < 4 * BLOCKS:
+        return 1.0
+    asked = spread_stretches(both, MOST_ROWS)
+    known = np.vstack([one.inputs for one in asked])
+    middle, size = known.mean(axis=0), np.maximum(known.std(axis=0), TINY)
+    scaled = ((known - middle) / size)[:, n_inputs:]
+    axes = np.linalg.eigh(scaled.T @ scaled)[1][:, -MOST_MOTIONS:]
+    axes = axes / np.maximum((scaled @ axes).std(axis=0), TINY)
+    linear, powers, errors = [], [], []
+    for one in asked:
+        own = (one.inputs - middle) / size
+        motion = own[:, n_inputs:] @ axes
+        linear.append(_with_past(own))
+        powers.append(_with_past(np.hstack([motion**2 - 1.0, motion**3 - 3.0 * motion])))
+        errors.append(one.outputs[LAGS - 1 :])
+    there = np.isfinite(np.vstack(errors)).all(axis=1)
+    beside = np.vstack(linear)[there]
+    beside = np.hstack([beside, np.ones((len(beside), 1))])
+    sought = np.hstack([np.vstack(powers), np.vstack(errors)])[there]
+    sought = sought - beside @ np.linalg.lstsq(beside, sought, rcond=None)[0]
+    own, rest = sought[:, :-n_outputs], sought[:, -n_outputs:]
+    chances = [_chance(own * rest[:, [o]] / max(float(rest[:, o].std()), TINY)) for o in range(n_outputs)]
+    return min(1.0, n_outputs * min(chances))
+
+
+def _with_past(values: FloatArray) -> FloatArray:
+    """(n_samples - LAGS + 1, LAGS n) values beside those before."""
+    n = len(values) - LAGS + 1
+    return np.hstack([values[LAGS - 1 - k :][:n] for k in range(LAGS)])
+
+
+def _chance(products: FloatArray) -> float:
+    """How often columns of the mean 0 have sums so far from it, by the scatter of their blocks (Hotelling)."""
+    blocks = np.add.reduceat(products, np.linspace(0, len(products), BLOCKS, endpoint=False).astype(int), axis=0)
+    blocks = blocks / np.maximum(np.sqrt(np.square(blocks).sum(axis=0)), TINY)
+    sums, moments = blocks.sum(axis=0), blocks.T @ blocks
+    values, vectors = np.linalg.eigh(moments)
+    told = values > len(values) * np.finfo(float).eps * values.max()
+    squared = float((np.square(vectors[:, told].T @ sums) / values[told]).sum())
+    n, freedom = int(told.sum()), BLOCKS - int(told.sum())
+    return float(scipy.special.fdtrc(n, freedom, squared / max(TINY, BLOCKS - squared) * freedom / n))

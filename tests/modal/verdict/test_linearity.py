@@ -1,0 +1,97 @@
+"""Errors of the prediction follow powers of the motion where something is not linear; noise does not."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+import modal
+from modal.verdict.linearity import NOT_LINEAR, chance_of_powers
+from okid.record import Record
+
+DT = 0.01
+
+
+def rung(force, frequency, ratio):
+    pole = np.exp((-ratio + 1j * np.sqrt(1 - ratio**2)) * 2 * np.pi * frequency * DT)
+    moved = lfilter([0, 1], [1, -2 * pole.real, abs(pole) ** 2], force, axis=0)
+    return moved / moved.std()
+
+
+def sprung(force, *, hardening, noise, rng, steps=8):
+    """A mass on a spring k x (1 + hardening x^2) at 2 Hz, x of size about 1; by Runge-Kutta's fourth order."""
+    w2, c, h = (2 * np.pi * 2.0) ** 2, 2 * 0.02 * 2 * np.pi * 2.0, DT / steps
+    gain = 1.0 / np.sqrt(DT / (2 * c * w2))
+
+    def rate(x, v, u):
+        return v, gain * u - c * v - w2 * x * (1.0 + hardening * x * x)
+
+    x, v, moved = 0.0, 0.0, np.empty(len(force))
+    for k, u in enumerate(force):
+        moved[k] = x
+        for _ in range(steps):
+            a, b = rate(x, v, u)
+            a2, b2 = rate(x + 0.5 * h * a, v + 0.5 * h * b, u)
+            a3, b3 = rate(x + 0.5 * h * a2, v + 0.5 * h * b2, u)
+            a4, b4 = rate(x + h * a3, v + h * b3, u)
+            x, v = x + h / 6 * (a + 2 * a2 + 2 * a3 + a4), v + h / 6 * (b + 2 * b2 + 2 * b3 + b4)
+    return moved + noise * moved.std() * rng.standard_normal(len(force))
+
+
+def told(result):
+    return [words for words in result.warnings if "Something is not linear: errors of the prediction" in words]
+
+
+@pytest.mark.parametrize("hardening", [0.03, 0.1])
+def test_a_hardening_spring_is_said_to_be_not_linear(hardening):
+    """Its mode was certain some per cent off, and nothing said why, or forces that were not measured were blamed."""
+    rng = np.random.default_rng(1)
+    force = rng.standard_normal(5000)
+    outputs = sprung(force, hardening=hardening, noise=0.02, rng=rng)
+    result = modal.identify(Record(force, outputs, DT))
+    assert told(result)
+    assert not any("not measured make most" in words for words in result.warnings)
+    assert not any(mode.frequency > 3.0 for mode in result.modes.system)  # 7.1 Hz, three times its own, was one
+
+
+def test_the_same_mass_on_a_linear_spring_is_not():
+    rng = np.random.default_rng(1)
+    force = rng.standard_normal(5000)
+    assert not told(modal.identify(Record(force, sprung(force, hardening=0.0, noise=0.02, rng=rng), DT)))
+
+
+def left_alone(kind, seed):
+    """A linear record and its motion without the noise, which knows nothing of it."""
+    rng = np.random.default_rng(seed)
+    force, noise = rng.standard_normal(6000), rng.standard_normal((6000, 2))
+    if kind == "gusts":
+        level = np.exp(np.convolve(rng.standard_normal(6000), np.ones(300) / np.sqrt(300), "same"))
+        force, noise = force * level, noise * level[:, np.newaxis]
+    if kind == "narrow":
+        noise = rung(noise, 6.0, 0.003) + rung(noise[::-1], 23.0, 0.005)
+    if kind == "heavy tails":
+        force, noise = rng.standard_t(2.5, 6000), rng.standard_t(2.5, (6000, 2))
+    if kind == "bursts":
+        force = force * ((np.arange(6000) // 700) % 2)
+    motion = np.column_stack([rung(force, 5.0, 0.01), rung(force, 5.0, 0.01) + rung(force, 17.0, 0.01)])
+    return Record(force, motion + 0.3 * noise, DT), motion
+
+
+@pytest.mark.parametrize("kind", ["white", "gusts", "narrow", "heavy tails", "bursts"])
+def test_noise_that_knows_nothing_of_the_motion_is_not_accused(kind):
+    """Gusts make noise and motion strong together; noise of narrow bands is far from white."""
+    chances = []
+    for seed in range(12):
+        record, motion = left_alone(kind, seed)
+        chances.append(chance_of_powers([record], [Record(record.inputs, motion, DT)]))
+    assert min(chances) > NOT_LINEAR
+    assert np.median(chances) > 0.1
+
+
+def test_a_stub_of_a_record_tells_nothing():
+    force, noise = np.random.default_rng(5).standard_normal((2, 4000, 1))
+    for bent, least, most in ((0.1, 0.0, 1e-6), (0.0, 0.01, 1.0)):
+        record = Record(force, force + bent * force**3 + noise, DT)
+        run = Record(force, (1.0 + 3.0 * bent) * force, DT)
+        stubs = [Record(one.inputs[:1], one.outputs[:1], DT) for one in (record, run)]
+        assert least <= chance_of_powers([record, stubs[0]], [run, stubs[1]]) <= most
+        assert chance_of_powers([stubs[0]], [stubs[1]]) == 1.0
