@@ -22,7 +22,7 @@ References:
     Fevotte, Bertin, Durrieu, Neural Computation 21(3), 2009, doi 10.1162/neco.2008.04-08-771 (its updates).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -196,24 +196,26 @@ def _lines(modes: Sequence[Mode], spectra: _Spectra) -> list[_Line]:
     ]
     n, rate = 2 * (spectra.grid.size - 1), 2.0 * spectra.grid[-1]
     lags = np.minimum(np.arange(n), n - np.arange(n)) / rate
-    rows, again = np.fft.irfft(spectra.rows, n, axis=1), False
+    rows = np.fft.irfft(np.vstack([spectra.rows, spectra.window]), n, axis=1)
+    again = False
     for one in list(lines):
         if one.index is None or modes[one.index].verdict != "system":
             continue
-        seen = np.fft.rfft(rows * np.exp(-one.decay * lags), axis=1).real
+        *seen, alone = np.fft.rfft(rows * np.exp(-one.decay * lags), axis=1).real
+        shares = np.array([own / own[0] for own in seen])
         width = max(one.decay / (2.0 * np.pi), spectra.finest)
         far = spectra.grid > BESIDE[0] * width
-        again = again or bool((seen[:, far] > SEEN_AGAIN * seen[:, :1]).any())
-        for turn in _turns(seen, n, apart=BESIDE[0] * width * n / rate):
-            for image in _images(one.frequency / rate, turn):
-                if all(abs(rate * image - other.frequency) > width for other in lines):
-                    lines.append(_Line(frequency=rate * image, decay=one.decay, index=None))
+        again = again or bool((shares - alone / alone[0])[:, far].max(initial=0.0) > SEEN_AGAIN)
+        for turn in _turns(shares, n, apart=BESIDE[0] * width * n / rate):
+            lines += [
+                _Line(frequency=rate * f, decay=one.decay, index=None) for f in _images(one.frequency / rate, turn)
+            ]
     return lines if again else []
 
 
-def _images(frequency: float, turn: float) -> Iterable[float]:
+def _images(frequency: float, turn: float) -> list[float]:
     """A line moved up and down by a turn, folded back to 0 ... 0.5 [1 / sample]."""
-    return {min(image % 1.0, 1.0 - image % 1.0) for image in (frequency + turn, frequency - turn)}
+    return sorted({min(image % 1.0, 1.0 - image % 1.0) for image in (frequency + turn, frequency - turn)})
 
 
 def _turns(seen: FloatArray, n: int, *, apart: float) -> list[float]:
