@@ -100,7 +100,7 @@ def apart_in_spectra(modes: ModalModel, records: Sequence[Record], measured: Seq
         lost = (_fitted(fit.makes, fit.seen, fit.count, without)[0] - least) / spread
         if (lost > price).any():
             continue
-        sizes[:, k] = fit.seen[:, fit.place[k]] / fit.whole[fit.place[k], k]
+        sizes[:, k] = fit.seen[:, fit.place[k]] / max(float(fit.whole[fit.place[k], k]), TINY)
         whole = np.broadcast_to(fit.whole, fit.makes.shape)
         wanted = np.maximum(np.einsum("ec,oc->oe", fit.whole, sizes), TINY)
         told_apart = _fitted(whole, wanted, fit.count, without)[0] - _fitted(whole, wanted, fit.count, rivals)[0]
@@ -198,7 +198,7 @@ def _lines(modes: Sequence[Mode], spectra: _Spectra) -> list[_Line]:
     lags = np.minimum(np.arange(n), n - np.arange(n)) / rate
     rows = np.fft.irfft(np.vstack([spectra.rows, spectra.window]), n, axis=1)
     again = False
-    for one in list(lines):
+    for one in list(lines) if len(spectra.rows) else ():
         if one.index is None or modes[one.index].verdict != "system":
             continue
         *seen, alone = np.fft.rfft(rows * np.exp(-one.decay * lags), axis=1).real
@@ -226,7 +226,8 @@ def _turns(seen: FloatArray, n: int, *, apart: float) -> list[float]:
         n: samples of the padded transform.
         apart: lines of it within which it is the same line.
     """
-    share = (seen / np.maximum(seen[:, :1], TINY)).min(axis=0)
+    heard = seen[seen[:, 0] > 0.0]
+    share = (heard / heard[:, :1]).min(axis=0, initial=1.0) if len(heard) else np.zeros(seen.shape[1])
     padded = np.pad(share, 1, constant_values=-1.0)
     peaks = (padded[1:-1] >= padded[:-2]) & (padded[1:-1] > padded[2:]) & (share > ALIKE_ROWS)
     found = np.flatnonzero(peaks & (np.arange(share.size) > apart))
