@@ -5,6 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 import modal
+from modal.modes.mode import ModalModel, Mode
 from modal.preparation.steps import prepare
 from modal.verdict.images import apart_in_spectra, told_below
 from okid.record import Record
@@ -93,3 +94,39 @@ def test_the_share_that_was_measured_is_that_of_what_was_given():
     prepared = prepare([Record(blow, by_turns, DT)], kind="transient")
     assert prepared.n_rest[0] > 0
     assert prepared.measured_share == pytest.approx(1.0 / 3.0)
+
+
+def judged(frequencies, damping_ratios, n_outputs=4):
+    """Modes that are all certain."""
+    turned = 2 * np.pi * np.asarray(frequencies)
+    poles = turned * (-np.asarray(damping_ratios) + 1j)
+    modes = [
+        Mode(
+            pole=complex(pole),
+            kind="oscillatory",
+            frequency=frequency,
+            damping_ratio=ratio,
+            shape=np.ones(n_outputs),
+            participation=np.empty(0),
+            verdict="system",
+            probability=1.0,
+        )
+        for pole, frequency, ratio in zip(poles, frequencies, damping_ratios, strict=True)
+    ]
+    return ModalModel(modes=tuple(modes), dt=DT, indicator_caution=0.1)
+
+
+def test_a_close_pair_is_told_by_no_rows_and_stands():
+    """Where all rows were measured a spectrum shows it as one line too: that is no question of images."""
+    outputs, rows = ambient(6, 6000, frequencies=(3.0, 7.1, 7.15)), rows_of("plain", 6000)
+    modes = judged([3.0, 7.1, 7.15, 17.9], [0.01] * 4)
+    told = apart_in_spectra(modes, [Record([], outputs, DT)], [rows])
+    assert [mode.verdict for mode in told] == ["system", "system", "system", "doubtful"]
+
+
+def test_images_are_told_though_no_damping_ratio_is_right():
+    """The line that a mode makes is then not that of the data, and chance alone does not explain what is left."""
+    outputs, rows = ambient(0, 6000), rows_of("plain", 6000)
+    modes = judged([3.0, 7.1, 12.4, 12.6, 17.9, 22.0], [0.013, 0.007, 0.013, 0.007, 0.01, 0.007])
+    told = apart_in_spectra(modes, [Record([], outputs, DT)], [rows])
+    assert [mode.verdict for mode in told] == ["system"] * 3 + ["doubtful"] * 3

@@ -95,3 +95,11 @@ def test_a_stub_of_a_record_tells_nothing():
         stubs = [Record(one.inputs[:1], one.outputs[:1], DT) for one in (record, run)]
         assert least <= chance_of_powers([record, stubs[0]], [run, stubs[1]]) <= most
         assert chance_of_powers([stubs[0]], [stubs[1]]) == 1.0
+
+
+def test_a_model_that_is_a_little_off_is_no_sign_of_powers():
+    """What it leaves follows the motion, and so does the cube of a motion that is not normal, as that of two levels."""
+    rng = np.random.default_rng(3)
+    force = np.sign(rng.standard_normal(6000))
+    record = Record(force, force + 0.1 * rng.standard_normal(6000), DT)
+    assert chance_of_powers([record], [Record(force, 0.9 * force, DT)]) > NOT_LINEAR
