@@ -310,8 +310,8 @@ def _fit_words(record: Record, fit: Fit, missed: float, *, has_modes: bool, is_l
     if not is_linear:
         words.append(
             "Something is not linear: errors of the prediction follow squares and cubes of the motion, as they do by "
-            "chance in less than one record of a thousand. Modes and damping are an average at this level of motion, "
-            "and another level gives others; `modal-report gap` names the effect."
+            "chance in less than one record of 100 000. Modes and damping are an average at this level of motion, and "
+            "another level gives others; `modal-report gap` names the effect."
         )
     return words
 

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from modal.modes.mode import ModalModel, Mode
 from modal.verdict.judgement import doubted
+from modal.wording.text import hertz
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 from okid.rows import spread_stretches
@@ -39,14 +40,17 @@ ALIKE_ROWS = 0.5
 """Look for an image of a line where rows tell it from the line by half or less of what they tell of both."""
 SEEN_AGAIN = 0.03
 """Ask nothing where rows show no line again with so much of its power: a gap is spread over all frequencies."""
+HARDLY_READ = 0.1
+"""Let no output tell rows apart that was read in less than this share of the rows of the one that was read most."""
 MOST_IMAGES = 64
 """Look at so many images of a line at most."""
 BESIDE = (4.0, 12.0)
 """Take what stands so many half-widths from a line for what it stands on."""
 LINES_A_VALUE = 3.0
 """Count so many neighbouring lines of a padded Hann spectrum for one value: twice too many, and 1.5 lines wide."""
-ROUNDS = 100
-"""Take so many steps to the powers of the lines: the likelihood has settled to a tenth."""
+ROUNDS, FEW_ROUNDS, NOTHING = 100, 40, 1e-3
+"""Take so many steps to the powers of the lines from equal ones, so many from those of one line more or less, which are
+raised by so much of the largest: the likelihood has settled to a tenth."""
 MOST_ROWS = 30_000
 """Take the spectrum of so many rows at most."""
 
@@ -54,7 +58,7 @@ MOST_ROWS = 30_000
 def told_below(measured: Sequence[BoolArray], dt: float) -> float:
     """Frequency [Hz] above which no output tells a line from an image below.
 
-    That is half the sampling rate where some output was measured in all rows.
+    That is half the sampling rate where some output was measured in all rows, or in rows without an order.
 
     Example:
         >>> rows = np.arange(1000)[:, np.newaxis]
@@ -87,6 +91,8 @@ def apart_in_spectra(modes: ModalModel, records: Sequence[Record], measured: Seq
     frequencies = np.array([one.frequency for one in lines])
     twins = np.abs(np.subtract.outer(frequencies, frequencies)) <= BESIDE[0] * fit.half[:, np.newaxis]
     twins &= np.array([one.index is None for one in lines])  # for which a line of the model stands nearby
+    whole = np.broadcast_to(fit.whole, fit.makes.shape)
+    exact = 2.0 * (fit.count * (np.log(fit.seen) + 1.0)).sum(axis=1)
     for k in np.argsort(-frequencies, kind="stable").tolist():
         index = lines[k].index
         rivals = alive.copy()
@@ -95,20 +101,35 @@ def apart_in_spectra(modes: ModalModel, records: Sequence[Record], measured: Seq
         without = rivals & (np.arange(alive.size) != k)
         rivals[k] = True
         least, sizes = _fitted(fit.makes, fit.seen, fit.count, rivals)
-        exact = 2.0 * (fit.count * (np.log(fit.seen) + 1.0)).sum(axis=1)
         spread = np.maximum(1.0, (least - exact) / max(1, fit.count.size - int(rivals.sum())))
-        lost = (_fitted(fit.makes, fit.seen, fit.count, without)[0] - least) / spread
-        if (lost > price).any():
+        lost, _ = _fitted(fit.makes, fit.seen, fit.count, without, sizes)
+        if ((lost - least) / spread > price).any():
             continue
-        sizes[:, k] = fit.seen[:, fit.place[k]] / max(float(fit.whole[fit.place[k], k]), TINY)
-        whole = np.broadcast_to(fit.whole, fit.makes.shape)
-        wanted = np.maximum(np.einsum("ec,oc->oe", fit.whole, sizes), TINY)
+        alone = sizes.copy()
+        alone[:, k] = fit.seen[:, fit.place[k]] / max(float(fit.whole[fit.place[k], k]), TINY)
+        wanted = np.maximum(np.einsum("ec,oc->oe", fit.whole, alone), TINY)
         told_apart = _fitted(whole, wanted, fit.count, without)[0] - _fitted(whole, wanted, fit.count, rivals)[0]
         if index is None or (told_apart > price).any():
             alive[k] = False
-            if index is not None and told[index].verdict == "system":
-                told[index] = doubted(told[index], WHY_IMAGE)
+            told = _told(told, lines, twins, k)
     return replace(modes, modes=tuple(told))
+
+
+def _told(modes: Sequence[Mode], lines: Sequence["_Line"], twins: BoolArray, k: int) -> list[Mode]:
+    """The modes with line k told as an image; the certain ones whose images stand there say that it fits as well."""
+    told, index = list(modes), lines[k].index
+    if index is None:
+        return told
+    if told[index].verdict == "system":
+        told[index] = doubted(told[index], WHY_IMAGE)
+    owners = {lines[j].of for j in np.flatnonzero(twins[k]).tolist()}
+    for i in range(len(told)):
+        if i in owners and told[i].verdict == "system" and told[i].frequency < lines[k].frequency:
+            text = (
+                f"{told[i].reason}; at these rows {hertz(lines[k].frequency)} Hz fits as well, and the lower is taken"
+            )
+            told[i] = replace(told[i], reason=text)
+    return told
 
 
 def poles_of_images(pole: complex, answers: Sequence[ComplexArray], there: Sequence[BoolArray]) -> list[complex]:
@@ -180,11 +201,12 @@ def _spectra(records: Sequence[Record]) -> _Spectra:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Line:
-    """A mode of the model, or an image of one: no mode."""
+    """A mode of the model, or an image of the mode `of`: no mode."""
 
     frequency: float
     decay: float
     index: int | None
+    of: int | None = None
 
 
 def _lines(modes: Sequence[Mode], spectra: _Spectra) -> list[_Line]:
@@ -206,9 +228,10 @@ def _lines(modes: Sequence[Mode], spectra: _Spectra) -> list[_Line]:
         width = max(one.decay / (2.0 * np.pi), spectra.finest)
         far = spectra.grid > BESIDE[0] * width
         again = again or bool((shares - alone / alone[0])[:, far].max(initial=0.0) > SEEN_AGAIN)
-        for turn in _turns(shares, n, apart=BESIDE[0] * width * n / rate):
+        for turn in _turns(np.array(seen), n, apart=BESIDE[0] * width * n / rate):
             lines += [
-                _Line(frequency=rate * f, decay=one.decay, index=None) for f in _images(one.frequency / rate, turn)
+                _Line(frequency=rate * f, decay=one.decay, index=None, of=one.index)
+                for f in _images(one.frequency / rate, turn)
             ]
     return lines if again else []
 
@@ -219,14 +242,16 @@ def _images(frequency: float, turn: float) -> list[float]:
 
 
 def _turns(seen: FloatArray, n: int, *, apart: float) -> list[float]:
-    """Where rows show a line again in every output, from `apart` lines on [1 / sample], the clearest ones.
+    """Where rows show a line again in every output that was read often, from `apart` lines on [1 / sample].
+
+    The clearest ones, at most `MOST_IMAGES`.
 
     Args:
         seen: (n_outputs, n // 2 + 1) power at each distance from a line, at first of the line itself.
         n: samples of the padded transform.
         apart: lines of it within which it is the same line.
     """
-    heard = seen[seen[:, 0] > 0.0]
+    heard = seen[seen[:, 0] >= HARDLY_READ**2 * max(TINY, seen[:, 0].max(initial=0.0))]
     share = (heard / heard[:, :1]).min(axis=0, initial=1.0) if len(heard) else np.zeros(seen.shape[1])
     padded = np.pad(share, 1, constant_values=-1.0)
     peaks = (padded[1:-1] >= padded[:-2]) & (padded[1:-1] > padded[2:]) & (share > ALIKE_ROWS)
@@ -264,37 +289,47 @@ class _Bands:
             away = (grid - one.frequency) / width
             sides = [(sign * away >= BESIDE[0]) & (sign * away <= BESIDE[1]) for sign in (-1.0, 1.0)]
             bands += [np.abs(away) <= 1.0, *sides]
-        inside = np.array(bands, dtype=np.float64)
+        inside = np.array(bands)
         there = inside.any(axis=1)
-        means = inside[there] / inside[there].sum(axis=1, keepdims=True)
+        first, n_inside = inside[there].argmax(axis=1), inside[there].sum(axis=1)  # each is of one piece
+
+        def means(values: FloatArray) -> FloatArray:
+            sums = np.concatenate([np.zeros((*values.shape[:-1], 1)), np.cumsum(values, axis=-1)], axis=-1)
+            return (sums[..., first + n_inside] - sums[..., first]) / n_inside
+
         levels = np.repeat(np.eye(len(lines)), 3, axis=0)[there]
         waves = [np.exp(-one.decay * lags) * np.cos(2.0 * np.pi * one.frequency * lags) for one in lines]
 
         def made(rows: FloatArray) -> FloatArray:
             """Of each line, its largest part 1; rows by their correlation."""
-            shown = np.array([means @ np.fft.rfft(rows * wave).real for wave in waves]).T
+            shown = np.array([means(np.fft.rfft(rows * wave).real) for wave in waves]).T
             return np.hstack([np.maximum(shown, 0.0) / np.maximum(shown.max(axis=0), TINY), levels])
 
-        seen = spectra.power @ means.T
+        seen = means(spectra.power)
+        patterns, which = np.unique(spectra.rows, axis=0, return_inverse=True)
         return cls(
             half=half,
-            count=inside[there].sum(axis=1) / LINES_A_VALUE,
+            count=n_inside / LINES_A_VALUE,
             place=np.cumsum(there)[::3] - 1,
             seen=np.maximum(seen / np.maximum(seen.mean(axis=1, keepdims=True), TINY), TINY),
-            makes=np.array([made(own) for own in np.fft.irfft(spectra.rows, n, axis=1)]),
+            makes=np.array([made(own) for own in np.fft.irfft(patterns, n, axis=1)])[which.ravel()],
             whole=made(np.fft.irfft(spectra.window, n)),
         )
 
 
-def _fitted(makes: FloatArray, seen: FloatArray, count: FloatArray, free: BoolArray) -> tuple[FloatArray, FloatArray]:
+def _fitted(
+    makes: FloatArray, seen: FloatArray, count: FloatArray, free: BoolArray, start: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
     """(n_outputs,) -2 log likelihood of exponentially distributed powers, and the sizes of those that are free.
 
-    By multiplicative updates, which leave no size negative.
+    By multiplicative updates, which leave no size negative, from equal sizes or from near those given.
     """
     own = makes[:, :, free]
     sizes = np.full((len(own), own.shape[2]), 1.0 / own.shape[2])
+    if start is not None:
+        sizes = start[:, free] + NOTHING * start.max(axis=1, keepdims=True)  # what is zero would stay so
     turned = np.ascontiguousarray(own.transpose(0, 2, 1))
-    for _ in range(ROUNDS):
+    for _ in range(ROUNDS if start is None else FEW_ROUNDS):
         mean = np.maximum((own @ sizes[:, :, np.newaxis])[:, :, 0], TINY)
         weights = np.stack([count * seen / mean**2, count / mean], axis=2)
         up, down = np.moveaxis(turned @ weights, 2, 0)

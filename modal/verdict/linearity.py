@@ -5,7 +5,9 @@ however that is distributed: with x(t) the motion that is predicted for t,
 
     E[ g(x(t), x(t - 1)) e(t) ] = 0,        for any g (a martingale difference).
 
-Squares and cubes are asked. A model that is an average of something not linear cannot have zero there.
+Squares and cubes are asked. A model that is an average of something not linear cannot have zero there. Inputs that were
+measured with noise are no such knowledge: the errors follow the motion then, the more the quieter it is. So powers are
+those of the motion over its own level nearby, and a gain that changes with that level is allowed for.
 
 References:
     Billings, Voon, Int. J. Control 44(1), 1986, doi 10.1080/00207178608933593 (residuals against powers).
@@ -21,12 +23,16 @@ from okid.arrays import TINY, FloatArray
 from okid.record import Record
 from okid.rows import spread_stretches
 
-NOT_LINEAR = 1e-3
-"""Say so where chance makes as much of it less often than this."""
+NOT_LINEAR = 1e-5
+"""Say so where chance makes as much of it less often: beside hidden forces whose level changes 1.4e-4 was seen."""
 MOST_MOTIONS = 2
 """Take powers of so many independent motions at most."""
 LAGS = 2
 """Take them at so many samples back: what acts between two samples depends on both ends."""
+NEARBY, QUIETEST = 100, 1e-3
+"""Take the level of the motion over so many rows, and for no less than this share of that of all."""
+EXPLAINED = 1e-9
+"""Ask nothing of an output of which the rest explains all but such a share: that is rounding."""
 BLOCKS = 200
 """Tell the scatter of the products from so many blocks of rows: what is left need not be white within one."""
 MOST_ROWS = 100_000
@@ -41,7 +47,7 @@ def chance_of_powers(records: Sequence[Record], predicted: Sequence[Record]) -> 
     Hotelling's T squared, the least chance of all outputs times their number.
 
     Args:
-        records: with inputs; of others nothing is told, nor of fewer rows than blocks of four.
+        records: with inputs; of others nothing is told, nor of fewer than four whole rows a block.
         predicted: each one step ahead.
 
     Example:
@@ -56,9 +62,9 @@ def chance_of_powers(records: Sequence[Record], predicted: Sequence[Record]) -> 
     both = [
         Record(np.hstack([record.inputs, run.outputs]), record.outputs - run.outputs, record.dt)
         for record, run in zip(records, predicted, strict=True)
-        if record.n_samples > n_inputs + n_outputs
+        if record.n_samples > max(n_inputs + n_outputs, NEARBY)
     ]
-    if n_inputs == 0 or sum(one.n_samples for one in both) < 4 * BLOCKS:
+    if n_inputs == 0 or not both:
         return 1.0
     asked = spread_stretches(both, MOST_ROWS)
     known = np.vstack([one.inputs for one in asked])
@@ -68,19 +74,36 @@ def chance_of_powers(records: Sequence[Record], predicted: Sequence[Record]) -> 
     axes = axes / np.maximum((scaled @ axes).std(axis=0), TINY)
     linear, powers, errors = [], [], []
     for one in asked:
-        own = (one.inputs - middle) / size
-        motion = own[:, n_inputs:] @ axes
-        linear.append(_with_past(own))
+        values = (one.inputs - middle) / size
+        motion = values[:, n_inputs:] @ axes
+        level = _level(motion)
+        beside = _with_past(np.hstack([values, motion / level]))
+        loudness = np.log(level[LAGS - 1 :])
+        linear.append(np.hstack([beside, beside * loudness, beside * loudness**2, loudness, loudness**2]))
+        motion = motion / level
         powers.append(_with_past(np.hstack([motion**2 - 1.0, motion**3 - 3.0 * motion])))
         errors.append(one.outputs[LAGS - 1 :])
-    there = np.isfinite(np.vstack(errors)).all(axis=1)
-    beside = np.vstack(linear)[there]
-    beside = np.hstack([beside, np.ones((len(beside), 1))])
-    sought = np.hstack([np.vstack(powers), np.vstack(errors)])[there]
-    sought = sought - beside @ np.linalg.lstsq(beside, sought, rcond=None)[0]
-    own, rest = sought[:, :-n_outputs], sought[:, -n_outputs:]
-    chances = [_chance(own * rest[:, [o]] / max(float(rest[:, o].std()), TINY)) for o in range(n_outputs)]
-    return min(1.0, n_outputs * min(chances))
+    causes, rest = np.hstack([np.vstack(powers), np.vstack(linear)]), np.vstack(errors)
+    n = powers[0].shape[1]
+    there = np.isfinite(rest).all(axis=1) & np.isfinite(causes).all(axis=1)
+    if there.sum() < 4 * BLOCKS:
+        return 1.0
+    beside = np.hstack([causes[there, n:], np.ones((int(there.sum()), 1))])
+    sought = np.hstack([causes[there, :n], rest[there]])
+    left = sought - beside @ np.linalg.lstsq(beside, sought, rcond=None)[0]
+    told = left[:, n:].std(axis=0) > EXPLAINED * np.abs(sought[:, n:]).max(axis=0)  # else it is rounding
+    chances = [_chance(left[:, :n] * left[:, [n + o]]) for o in np.flatnonzero(told)]
+    return min(1.0, n_outputs * min(chances, default=1.0))
+
+
+def _level(motion: FloatArray) -> FloatArray:
+    """(n_samples, 1) rms of the motions over the rows nearby."""
+    sums = np.cumsum(np.concatenate([np.zeros(1), np.square(motion).mean(axis=1)]))
+    rows = np.arange(len(motion))
+    first, last = np.maximum(rows - NEARBY // 2, 0), np.minimum(rows + NEARBY // 2, len(motion))
+    power = (sums[last] - sums[first]) / (last - first)
+    level: FloatArray = np.sqrt(np.maximum(power, QUIETEST**2 * power.mean()))[:, np.newaxis]
+    return np.maximum(level, TINY)
 
 
 def _with_past(values: FloatArray) -> FloatArray:

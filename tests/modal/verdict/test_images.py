@@ -79,6 +79,17 @@ def test_rows_tell_lines_below_a_frequency(case, below):
     assert told_below([rows_of(case, 4000)], DT) == pytest.approx(below, rel=0.01)
 
 
+def test_a_sensor_that_was_read_in_few_rows_hides_no_turns():
+    """A third sensor on for 30 rows told everything apart: 4.05 and 19.6 Hz were certain, and nothing was said."""
+    rows = rows_of("plain", 4000)
+    rows[:, 1], rows[:30, 1] = False, True
+    assert told_below([rows], DT) == pytest.approx(12.5, rel=0.01)
+    modes = judged([3.0, 7.1, 12.4, 17.9], [0.01] * 4)
+    told = apart_in_spectra(modes, [Record([], ambient(0, 4000), DT)], [rows])
+    assert [mode.verdict for mode in told] == ["system", "system", "system", "doubtful"]
+    assert "17.9 Hz fits as well" in told.modes[1].reason
+
+
 def test_the_share_that_was_measured_is_that_of_what_was_given():
     """A filter makes many samples of a filled one, and rest is measured: 3.2 % missing were said to be 25 %."""
     outputs = ambient(4, 4000)

@@ -72,11 +72,15 @@ def left_alone(kind, seed):
         force, noise = rng.standard_t(2.5, 6000), rng.standard_t(2.5, (6000, 2))
     if kind == "bursts":
         force = force * ((np.arange(6000) // 700) % 2)
+    if kind == "noisy input":  # what is measured is less to be believed where it is quiet
+        force = force * np.repeat(np.exp(rng.standard_normal(30)), 200)
+        true, force = force, force + 0.1 * force.std() * rng.standard_normal(6000)
+        return Record(force, rung(true, 5.0, 0.05) + 0.02 * noise[:, 0], DT), rung(force, 5.0, 0.05)
     motion = np.column_stack([rung(force, 5.0, 0.01), rung(force, 5.0, 0.01) + rung(force, 17.0, 0.01)])
     return Record(force, motion + 0.3 * noise, DT), motion
 
 
-@pytest.mark.parametrize("kind", ["white", "gusts", "narrow", "heavy tails", "bursts"])
+@pytest.mark.parametrize("kind", ["white", "gusts", "narrow", "heavy tails", "bursts", "noisy input"])
 def test_noise_that_knows_nothing_of_the_motion_is_not_accused(kind):
     """Gusts make noise and motion strong together; noise of narrow bands is far from white."""
     chances = []
@@ -85,6 +89,13 @@ def test_noise_that_knows_nothing_of_the_motion_is_not_accused(kind):
         chances.append(chance_of_powers([record], [Record(record.inputs, motion, DT)]))
     assert min(chances) > NOT_LINEAR
     assert np.median(chances) > 0.1
+
+
+def test_rounding_tells_nothing():
+    force = np.random.default_rng(6).standard_normal(4000)
+    record = Record(force, force, DT)
+    for run in (force, 0.0 * force, force - 0.1):
+        assert chance_of_powers([record], [Record(force, run, DT)]) == 1.0
 
 
 def test_a_stub_of_a_record_tells_nothing():
