@@ -238,7 +238,7 @@ def warnings_in_words(
     residuals: ResidualCheck,
     seen: Sequence[FloatArray] | None,
     found: Search,
-    is_linear: bool = True,
+    is_linear: bool,
 ) -> tuple[str, ...]:
     """What the user must read before believing a number; empty when all is well.
 
@@ -310,7 +310,7 @@ def _fit_words(record: Record, fit: Fit, missed: float, *, has_modes: bool, is_l
     if not is_linear:
         words.append(
             "Something is not linear: errors of the prediction follow squares and cubes of the motion, as they do by "
-            "chance in less than one record of 100 000. Modes and damping are an average at this level of motion, and "
+            "chance in less than one record of 10 000. Modes and damping are an average at this level of motion, and "
             "another level gives others; `modal-report gap` names the effect."
         )
     return words

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from noise_families import noise_record
+from nonlinear_chain import run_chain
 from scipy.signal import lfilter
 
 import modal
@@ -17,23 +19,13 @@ def rung(force, frequency, ratio):
     return moved / moved.std()
 
 
-def sprung(force, *, hardening, noise, rng, steps=8):
-    """A mass on a spring k x (1 + hardening x^2) at 2 Hz, x of size about 1; by Runge-Kutta's fourth order."""
-    w2, c, h = (2 * np.pi * 2.0) ** 2, 2 * 0.02 * 2 * np.pi * 2.0, DT / steps
-    gain = 1.0 / np.sqrt(DT / (2 * c * w2))
-
-    def rate(x, v, u):
-        return v, gain * u - c * v - w2 * x * (1.0 + hardening * x * x)
-
-    x, v, moved = 0.0, 0.0, np.empty(len(force))
-    for k, u in enumerate(force):
-        moved[k] = x
-        for _ in range(steps):
-            a, b = rate(x, v, u)
-            a2, b2 = rate(x + 0.5 * h * a, v + 0.5 * h * b, u)
-            a3, b3 = rate(x + 0.5 * h * a2, v + 0.5 * h * b2, u)
-            a4, b4 = rate(x + h * a3, v + h * b3, u)
-            x, v = x + h / 6 * (a + 2 * a2 + 2 * a3 + a4), v + h / 6 * (b + 2 * b2 + 2 * b3 + b4)
+def sprung(force, *, hardening, noise, rng):
+    """A mass on a spring k x (1 + hardening x^2) at 2 Hz with 2 % of damping, x of size about 1."""
+    k, c = (2 * np.pi * 2.0) ** 2, 2 * 0.02 * 2 * np.pi * 2.0
+    gain = np.sqrt(2 * c * k / DT)
+    moved = run_chain(
+        [1.0], [k], [c], gain * force[np.newaxis], DT, law=lambda d, v, t: k * hardening * d**3, n_steps=8
+    )[0, :, 0]
     return moved + noise * moved.std() * rng.standard_normal(len(force))
 
 
@@ -41,12 +33,11 @@ def told(result):
     return [words for words in result.warnings if "Something is not linear: errors of the prediction" in words]
 
 
-@pytest.mark.parametrize("hardening", [0.03, 0.1])
-def test_a_hardening_spring_is_said_to_be_not_linear(hardening):
+def test_a_hardening_spring_is_said_to_be_not_linear():
     """Its mode was certain some per cent off, and nothing said why, or forces that were not measured were blamed."""
     rng = np.random.default_rng(1)
     force = rng.standard_normal(5000)
-    outputs = sprung(force, hardening=hardening, noise=0.02, rng=rng)
+    outputs = sprung(force, hardening=0.1, noise=0.02, rng=rng)
     result = modal.identify(Record(force, outputs, DT))
     assert told(result)
     assert not any("not measured make most" in words for words in result.warnings)
@@ -114,3 +105,9 @@ def test_a_model_that_is_a_little_off_is_no_sign_of_powers():
     force = np.sign(rng.standard_normal(6000))
     record = Record(force, force + 0.1 * rng.standard_normal(6000), DT)
     assert chance_of_powers([record], [Record(force, 0.9 * force, DT)]) > NOT_LINEAR
+
+
+def test_a_model_that_is_too_small_beside_hidden_forces_is_no_sign_of_powers():
+    """It leaves what is linear in the motion long before, and powers of the motion over its level follow that."""
+    case = noise_record("hidden", system=84004, record=0)
+    assert not told(modal.identify(Record(case.inputs, case.outputs, case.system.dt)))
