@@ -26,6 +26,7 @@ from modal.estimation.responses.fit import (
 from modal.estimation.responses.force_dips import with_dips
 from modal.estimation.responses.noise import (
     Noise,
+    beneath_distortion,
     beyond_blocks,
     drawn_noise,
     lines_joined,
@@ -337,11 +338,12 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
     of_pairs = residue_deviations(table, fit, noise, np.flatnonzero(fit.is_pair).tolist()) if fit is white else []
     unjudged = _with_deviations(extract_modes(realised(white, table)), white, table, of_poles, of_pairs)
     reruns, folds, held_out = _again(found)
-    ratios, onward = np.ones(fit.poles.size), np.zeros(fit.poles.size, dtype=np.bool_)
+    ratios = np.ones(fit.poles.size)
+    onward = beneath = np.zeros(fit.poles.size, dtype=np.bool_)
     if fit is white:  # else it is told how the force falls
         of_damping = of_poles[1] / np.maximum(-np.log(np.abs(fit.poles)) / np.abs(np.log(fit.poles)), TINY)
         ratios = beyond_blocks(table, fit, noise, of_damping, found.response.n_averages)
-        onward = runs_on(table, fit, noise)
+        onward, beneath = runs_on(table, fit, noise), beneath_distortion(table, fit, noise)
     weight = weight_of(table, noise)
     whole = lines_fit(fit.left, table, weight)
     measured = Fit(cross_validated=held_out, folds=folds, whole=whole, one_step=np.full(whole.size, np.nan))
@@ -355,9 +357,9 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
     )
     modes = _within(found.response, modes if fit is white else told_by_dips(_moved(modes, found)))
     of_mode = [int(np.abs(fit.poles - np.exp(mode.pole * table.dt)).argmin()) for mode in modes.modes]
-    modes, beyond = scattered(
-        modes, ratios[of_mode], onward[of_mode], found.response.frequencies, several_forces=found.response.n_inputs > 1
-    )
+    there = [each[of_mode] for each in (ratios, onward, beneath)]
+    several = found.response.n_inputs > 1
+    modes, beyond = scattered(modes, *there, found.response.frequencies, several_forces=several)
     modes = _named(_in_these_words(modes), found.response)
     tried_orders = sorted(found.fits)
     highest = realise_from(found.decomposition, min(found.decomposition.rank, found.decomposition.max_order))

@@ -423,17 +423,24 @@ def told_by_dips(modes: ModalModel) -> ModalModel:
 
 
 def scattered(
-    modes: ModalModel, ratios: FloatArray, onward: BoolArray, frequencies: FloatArray, *, several_forces: bool
+    modes: ModalModel,
+    ratios: FloatArray,
+    onward: BoolArray,
+    beneath: BoolArray,
+    frequencies: FloatArray,
+    *,
+    several_forces: bool,
 ) -> tuple[ModalModel, list[str]]:
     """The same, modes doubted where coherence is not what blocks leave of a linear structure; and why.
 
     A resonance that is not linear is described by several poles, of one shape or a broad one beneath: the strongest
-    stands.
+    stands. So does what is distorted around it, by poles that answer less than that.
 
     Args:
         modes: judged.
         ratios: (n_modes,) of `modal.estimation.responses.noise.beyond_blocks`.
         onward: (n_modes,) of `runs_on` there.
+        beneath: (n_modes,) of `beneath_distortion` there.
         frequencies: lines of the table [Hz].
         several_forces: whether the table has several references, whose falls are not described.
     """
@@ -459,6 +466,9 @@ def scattered(
         within = apart < one.damping_ratio * one.frequency  # broad, with the other one in it
         if apart < LARGEST_BAND * other.frequency and one.gain < other.gain and (alike or within):
             again[i] = doubted(one, f"second pole of the mode at {hertz(other.frequency)} Hz, which is not linear")
+    for i in np.flatnonzero(off & beneath):
+        if again[i].verdict == "system":
+            again[i] = doubted(again[i], "answers less than what is not linear in a stronger resonance does there")
     return replace(modes, modes=tuple(again)), words
 
 

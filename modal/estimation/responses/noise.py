@@ -220,21 +220,58 @@ def beyond_blocks(
     if table.noise is None or table.lags is None or not table.leaks:
         return ratios
     n = n_averages or 1 / float((noise.share * table.power).mean())
-    seen = np.where(table.known, _left_out(table), 0.0)
-    floor = _median(np.maximum(seen - noise.leakage, 0), table.known)
-    expected = np.where(table.known, noise.leakage + floor, 0.0)
-    line = float(np.median(np.diff(np.angle(table.z))))
+    seen, expected = _beside_blocks(table, noise)
     for r in np.flatnonzero(fit.is_pair):
-        s = np.log(fit.poles[r])
-        near = np.abs(np.angle(table.z) - abs(s)) <= max(2 * line, -s.real)
+        near = _at_resonance(table, fit, r)
         told = np.outer(np.abs(fit.shapes[:, r]) ** 2, np.abs(fit.inputs[r]) ** 2) * expected[near].any(axis=0)
         if told.sum() > 0:
             each = seen[near].sum(axis=0) / np.maximum(expected[near].sum(axis=0), TINY)
             ratio = float((each * told).sum() / told.sum())
-            memories = -s.real * n * table.lags.size * (1 - table.overlap)
+            memories = -np.log(np.abs(fit.poles[r])) * n * table.lags.size * (1 - table.overlap)
             spread = np.sqrt(1 / n + min(1.0, relative[r]) ** 2 / 4 + 1 / max(memories, TINY))
             ratios[r] = ratio if abs(np.log(max(ratio, TINY))) > SURE * spread else 1.0
     return ratios
+
+
+def _beside_blocks(table: ResponseLines, noise: Noise) -> tuple[FloatArray, FloatArray]:
+    """(n_lines, n_outputs, n_inputs) power of what does not follow the inputs, and of what blocks and sensors make."""
+    seen = np.where(table.known, _left_out(table), 0.0)
+    floor = _median(np.maximum(seen - noise.leakage, 0), table.known)
+    return seen, np.where(table.known, noise.leakage + floor, 0.0)
+
+
+def _at_resonance(table: ResponseLines, fit: ResponseFit, r: int) -> BoolArray:
+    """(n_lines,) within the half-power band of a pair, or two lines."""
+    s = np.log(fit.poles[r])
+    line = float(np.median(np.diff(np.angle(table.z))))
+    return np.asarray(np.abs(np.angle(table.z) - abs(s)) <= max(2 * line, -s.real), dtype=np.bool_)
+
+
+def beneath_distortion(table: ResponseLines, fit: ResponseFit, noise: Noise) -> BoolArray:
+    """(n_poles,) whether a pole answers less at its own resonance than another one, and than what is distorted there.
+
+    What is not linear changes the responses themselves, by up to as much as what does not follow the inputs beyond
+    blocks and sensors: under that, a pole may be the bend of a stronger resonance.
+
+    Args:
+        table: with coherence, else nothing is known.
+        fit: the model of it.
+        noise: of `noise_of`.
+    """
+    beneath = np.zeros(fit.poles.size, dtype=np.bool_)
+    if table.noise is None or not fit.poles.size:
+        return beneath
+    seen, expected = _beside_blocks(table, noise)
+    plus, minus = table.basis(fit.poles)[0]
+    residues = fit.shapes.T[:, :, np.newaxis] * fit.inputs[:, np.newaxis]
+    for r in np.flatnonzero(fit.is_pair):
+        near = _at_resonance(table, fit, r)
+        each = np.einsum("lp,pqi->plqi", plus[near], residues)
+        each[fit.is_pair] += np.einsum("lp,pqi->plqi", minus[near], residues.conj())[fit.is_pair]
+        power = (np.abs(each) ** 2 * table.power * table.known[near]).sum(axis=(1, 2, 3))
+        distorted = float((seen[near] - expected[near]).sum()) / (len(table.power) if table.together else 1)
+        beneath[r] = power[r] < distorted and power[r] < power.max()
+    return beneath
 
 
 def runs_on(table: ResponseLines, fit: ResponseFit, noise: Noise) -> BoolArray:
