@@ -50,7 +50,7 @@ from modal.preparation.delay import (
     given_input_delay,
     late_and_early,
 )
-from modal.preparation.faults import Mended, free_of_clipping, mended
+from modal.preparation.faults import Mended, free_of_clipping, living, mended
 from modal.preparation.filling import refilled
 from modal.preparation.integrators import driven_by_inputs
 from modal.preparation.kind import GivenKind, KindFound, find_kind, given_kind
@@ -268,7 +268,7 @@ def _with_delays(
             found = refined_search(found, progress=lambda done: tell("refining on held-out rows", 0.25 + 0.15 * done))
         tell("fitting all rows", FITTING)
         # a few blows are no stationary input, of which the test could be asked
-        acting = early_inputs(several, preparation.input_delay, preparation.records[0].dt)
+        acting = early_inputs(living(several)[0], preparation.input_delay, preparation.records[0].dt)
         suspected = kind_found.kind == "driven" and feedback_p_value(acting) < FALSE_ALARMS
 
         def fitted(records: Sequence[Record]) -> tuple[Search, FinalModel]:

@@ -35,6 +35,7 @@ from modal.modes.mode import Choice, ModalModel, Mode, Uncertainty
 from modal.modes.shape_comparison import assurance
 from modal.preparation.band import coherent_band
 from modal.preparation.delay import LONGEST_SHARE, delay_between, late_inputs, with_input_delay, without_input_delay
+from modal.preparation.faults import living
 from modal.verdict.excitation import undriven_doubt
 from modal.verdict.judgement import DOUBTED
 from modal.verdict.probability import SPREAD, pole_doubts, probability
@@ -87,7 +88,8 @@ class _Agreement:
 
 def has_absent_outputs(records: Sequence[Record]) -> bool:
     """Whether an output that other records have holds no number in some record."""
-    return any(not np.isfinite(record.outputs).any(axis=0).all() for record in records)
+    measured = np.array([np.isfinite(record.outputs).any(axis=0) for record in records])
+    return bool((measured.any(axis=0) & ~measured).any())
 
 
 def identify_setups(
@@ -105,6 +107,7 @@ def identify_setups(
         InvalidDataError: an output that no set-up with the same inputs has, or set-ups without inputs whose references
             do not connect them or which share no mode.
     """
+    records, dead = living(records)
     setups = _setups(records)
     if records[0].n_inputs:
         _refuse_what_nobody_measured(records, setups)
@@ -115,7 +118,8 @@ def identify_setups(
     given = [None if input_delay is None else [input_delay[i] // decimation for i in one.inputs] for one in setups]
     results = [again(_own_channels(records, one), delays) for one, delays in zip(setups, given, strict=True)]
     if not records[0].n_inputs:
-        return _ambient(records, setups, results)
+        found = _ambient(records, setups, results)
+        return replace(found, warnings=(*dead, *found.warnings))
     early = _early(setups, results, records[0].n_inputs)
     aligned, results, said, warnings = _aligned(records, setups, results, early, again)
     filled = list(aligned)
@@ -123,7 +127,7 @@ def identify_setups(
         for member in one.members:
             filled[member] = _completed(aligned[member], one, setups, results)
     joint = again(filled, early, noise_free="outputs that were simulated hold no noise")
-    return _with_joint_deviations(joint, records, setups, results, said=said, warnings=warnings)
+    return _with_joint_deviations(joint, records, setups, results, said=said, warnings=(*dead, *warnings))
 
 
 def _early(setups: Sequence[_SetUp], results: Sequence[Identification], n_inputs: int) -> list[int]:

@@ -62,7 +62,7 @@ def mended(records: Sequence[Record], *, driven: bool = False) -> Mended:
         >>> found.records[0].output_names, found.warnings
         (('tip',), ("Output 'root' never moves (always 1): it is dead, unplugged or not recorded; left out.",))
     """
-    kept, dead = _living(records)
+    kept, dead = living(records)
     told: dict[str, list[str]] = {"dead": dead}
     masks = [np.zeros(record.outputs.shape, dtype=np.bool_) for record in kept]
     for channel, resolution, sharp in _looked(kept):
@@ -233,16 +233,23 @@ def _looked(records: Sequence[Record]) -> Iterator[tuple[Channel, float, tuple[B
             sharp = tuple(mask | more for mask, more in zip(sharp, own, strict=True))
 
 
-def _living(records: Sequence[Record]) -> tuple[tuple[Record, ...], list[str]]:
-    """The records without outputs that stand at one value in all of them, as long as one output moves."""
+def living(records: Sequence[Record]) -> tuple[tuple[Record, ...], list[str]]:
+    """The records without outputs that stand at one value in all of them, or hold none, as long as one output moves.
+
+    Example:
+        >>> living([Record([], [[1.0, np.nan], [2.0, np.nan]], 0.01, output_names=["tip", "root"])])[1]
+        ["Output 'root' holds no number: it was not recorded; left out."]
+    """
     first = records[0]
-    low = np.min([np.fmin.reduce(record.outputs, axis=0) for record in records], axis=0)
-    high = np.max([np.fmax.reduce(record.outputs, axis=0) for record in records], axis=0)
-    moves = ~(low == high)
+    low = np.fmin.reduce([np.fmin.reduce(record.outputs, axis=0) for record in records], axis=0)
+    high = np.fmax.reduce([np.fmax.reduce(record.outputs, axis=0) for record in records], axis=0)
+    moves = low < high
     if moves.all() or not moves.any():
         return tuple(records), []
     words = [
-        f"Output {named(first.output_names[i])} never moves (always {low[i]:.6g}): it is dead, unplugged or not "
+        f"Output {named(first.output_names[i])} holds no number: it was not recorded; left out."
+        if np.isnan(low[i])
+        else f"Output {named(first.output_names[i])} never moves (always {low[i]:.6g}): it is dead, unplugged or not "
         "recorded; left out."
         for i in np.flatnonzero(~moves)
     ]

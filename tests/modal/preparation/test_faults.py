@@ -22,6 +22,18 @@ def record_of(family, seed):
     return made, Record(made.inputs, made.outputs, made.dt)
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("driven", [True, False])
+def test_an_output_that_no_record_holds_is_left_out(driven):
+    """It was taken for a set-up that had not measured it: a node, certain to infinity, or an error about set-ups."""
+    made, record = record_of("driven", 5)
+    outputs = np.column_stack([made.outputs, np.full(len(made.outputs), np.nan)])
+    result = identify(Record(made.inputs if driven else [], outputs, made.dt))
+    assert any("holds no number: it was not recorded; left out" in words for words in result.warnings)
+    assert result.modes.system
+    assert all(mode.shape.size == made.outputs.shape[1] for mode in result.modes)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_clean_record_stays_the_very_same(kind):
     inputs, outputs, dt = clean_record(np.random.default_rng(11), kind, n_samples=4000)
