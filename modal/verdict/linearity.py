@@ -5,11 +5,11 @@ however that is distributed: with x(t) the motion that is predicted for t,
 
     E[ g(x(t), x(t - 1)) e(t) ] = 0,        for any g (a martingale difference).
 
-Squares and cubes are asked. A model that is an average of something not linear cannot have zero there. Inputs that were
-measured with noise are no such knowledge: the errors follow the motion then, the more the quieter it is. So powers of
-the motion over its own level before are asked as well, with a gain that changes with that level, and the larger chance
-counts. A model that is too small leaves what is linear in the motion long before: of normal motion its own Hermite
-polynomials have nothing in common with that, those over a level have.
+Squares and cubes of x and of its increments are asked, beside all that is linear in what was known: inputs and
+predictions, and errors of the rows before. A model that is an average of something not linear cannot have zero there.
+One that is too small, or runs freely, leaves what is linear in the errors before. Inputs that were measured with noise
+are no such knowledge: the errors follow the motion then, the more the quieter it is. So powers of the motion over its
+own level are asked as well, with a gain that changes with that level, and the larger chance counts.
 
 References:
     Billings, Voon, Int. J. Control 44(1), 1986, doi 10.1080/00207178608933593 (residuals against powers).
@@ -17,6 +17,7 @@ References:
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
@@ -27,29 +28,29 @@ from okid.rows import spread_stretches
 
 NOT_LINEAR = 1e-4
 """Say so where chance makes as much of it less often."""
-MOST_MOTIONS = 2
-"""Take powers of so many independent motions at most."""
-LAGS = 2
-"""Take them at so many samples back: what acts between two samples depends on both ends."""
+MOST_MOTIONS, MOST_KNOWN = 2, 8
+"""Take powers of so many independent motions at most, beside so many of predictions and inputs and so many errors;"""
+LAGS, PAST = 2, 10
+"""powers at so many samples back, for what acts between two samples depends on both ends; what is known at so many."""
 BEFORE, QUIETEST = 100, 1e-3
-"""Take the level of the motion over so many rows before, and for no less than this share of that of all."""
+"""Take the level of the motion over so many rows, and for no less than this share of that of all."""
 EXPLAINED = 1e-9
 """Ask nothing of a power or an error of which the rest explains all but such a share: that is rounding."""
-BLOCKS = 200
-"""Tell the scatter of the products from so many blocks of rows: what is left need not be white within one."""
-MOST_ROWS = 100_000
-"""Ask so many rows at most: what they do not show moves no mode."""
+BLOCKS, BLOCK = 200, 8
+"""Tell the scatter of the products from so many blocks, each of so many rows at least."""
+MOST_ROWS = 30_000
+"""Ask so many rows at most, as the search for the order does: what they do not show moves no mode."""
 
 
 def chance_of_powers(records: Sequence[Record], predicted: Sequence[Record]) -> float:
     """How often the errors of a linear system's prediction follow squares and cubes of what is predicted as well.
 
-    Two principal motions give second and third Hermite polynomials, less what predictions and inputs explain of them
-    linearly. Their products with the errors of an output, summed over blocks, have the mean 0: by
-    Hotelling's T squared, the least chance of all outputs times their number.
+    Two principal motions give second and third Hermite polynomials, less what is known linearly. Their products with
+    the errors of an output, summed over blocks, have the mean 0: by Hotelling's T squared, the least chance of all
+    outputs times their number.
 
     Args:
-        records: with inputs; of others nothing is told, nor of fewer than four whole rows a block.
+        records: with inputs; of others nothing is told, nor of fewer rows than a few times what is known.
         predicted: each one step ahead.
 
     Example:
@@ -64,71 +65,98 @@ def chance_of_powers(records: Sequence[Record], predicted: Sequence[Record]) -> 
     both = [
         Record(np.hstack([record.inputs, run.outputs]), record.outputs - run.outputs, record.dt)
         for record, run in zip(records, predicted, strict=True)
-        if record.n_samples > max(n_inputs + n_outputs, BEFORE)
+        if record.n_samples > max(n_inputs + n_outputs, PAST)
     ]
     if n_inputs == 0 or not both:
         return 1.0
     asked = spread_stretches(both, MOST_ROWS)
-    known = np.vstack([one.inputs for one in asked])
-    middle, size = known.mean(axis=0), np.maximum(known.std(axis=0), TINY)
-    scaled = ((known - middle) / size)[:, n_inputs:]
-    axes = np.linalg.eigh(scaled.T @ scaled)[1][:, -MOST_MOTIONS:]
-    axes = axes / np.maximum((scaled @ axes).std(axis=0), TINY)
-    told = [((one.inputs - middle) / size, one.outputs[LAGS - 1 :]) for one in asked]
-    motions = [values[:, n_inputs:] @ axes for values, _ in told]
-    as_it_is = [np.ones((len(motion), 1)) for motion in motions]
-    return max(_chance_of(told, motions, levels) for levels in (as_it_is, [_level(motion) for motion in motions]))
+    known, errors = (np.vstack([getattr(one, name) for one in asked]) for name in ("inputs", "outputs"))
+    middle, size = np.nanmean(known, axis=0), np.maximum(np.nanstd(known, axis=0), TINY)
+    scaled, left = (known - middle) / size, errors / np.maximum(np.sqrt(np.nanmean(np.square(errors), axis=0)), TINY)
+    of_known, of_motion, of_errors = (
+        _principal(scaled, MOST_KNOWN),
+        _principal(scaled[:, n_inputs:], MOST_MOTIONS),
+        _principal(left, MOST_KNOWN),
+    )
+    ends = np.cumsum([one.n_samples for one in asked])[:-1]
+    parts = [
+        _Part(known=values @ of_known, motion=values[:, n_inputs:] @ of_motion, past=own @ of_errors, errors=own)
+        for values, own in zip(np.split(scaled, ends), np.split(left, ends), strict=True)
+    ]
+    return max(_chance_of(parts, levelled=levelled) for levelled in (False, True))
 
 
-def _chance_of(
-    parts: Sequence[tuple[FloatArray, FloatArray]], motions: Sequence[FloatArray], levels: Sequence[FloatArray]
-) -> float:
-    """The chance of parts of what is known and errors, with powers of motions over their levels."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Part:
+    """(n_samples, ...) of a stretch: principal ones of predictions and inputs, of motion, of errors; and each error."""
+
+    known: FloatArray
+    motion: FloatArray
+    past: FloatArray
+    errors: FloatArray
+
+
+def _principal(values: FloatArray, most: int) -> FloatArray:
+    """(n, at most `most`) sums of columns that move most, each of size 1."""
+    whole = values[np.isfinite(values).all(axis=1)]
+    axes = np.linalg.eigh(whole.T @ whole)[1][:, -most:]
+    return np.asarray(axes / np.maximum((whole @ axes).std(axis=0), TINY), dtype=np.float64)
+
+
+def _chance_of(parts: Sequence[_Part], *, levelled: bool) -> float:
+    """The chance of the errors, with powers of motions and their increments as they are or over their levels."""
+    paces = np.sqrt(np.nanmean(np.vstack([np.square(np.diff(part.motion, axis=0)) for part in parts]), axis=0))
     linear, powers = [], []
-    for (values, _), motion, level in zip(parts, motions, levels, strict=True):
-        beside, loudness = _with_past(np.hstack([values, motion / level])), np.log(level[LAGS - 1 :])
-        linear.append(np.hstack([beside, beside * loudness, beside * loudness**2, loudness, loudness**2]))
-        own = motion / level
-        powers.append(_with_past(np.hstack([own**2 - 1.0, own**3 - 3.0 * own])))
-    causes, rest = np.hstack([np.vstack(powers), np.vstack(linear)]), np.vstack([errors for _, errors in parts])
-    n = powers[0].shape[1]
-    there = np.isfinite(rest).all(axis=1) & np.isfinite(causes).all(axis=1)
-    if there.sum() < 4 * BLOCKS:
+    for part in parts:
+        step = np.diff(part.motion, axis=0, prepend=part.motion[:1]) / np.maximum(paces, TINY)
+        level, pace = (_level(each) if levelled else np.ones((len(step), 1)) for each in (part.motion, step))
+        moved = np.hstack([_with_past(part.motion / level, LAGS), (step / pace)[PAST:]])
+        powers.append(np.hstack([moved**2 - 1.0, moved**3 - 3.0 * moved]))
+        beside, loudness = np.hstack([_with_past(part.known, LAGS), moved]), np.log(level[PAST:])
+        before = [_with_past(part.known, PAST + 1), _with_past(part.past, PAST + 1)[:, part.past.shape[1] :]]
+        linear.append(np.hstack([*before, beside, beside * loudness, beside * loudness**2, loudness, loudness**2]))
+    causes, errors = (
+        np.hstack([np.vstack(powers), np.vstack(linear)]),
+        np.vstack([part.errors[PAST:] for part in parts]),
+    )
+    n, known = powers[0].shape[1], np.isfinite(causes).all(axis=1)
+    there = known & np.isfinite(errors).all(axis=1)
+    n_blocks = min(BLOCKS, int(there.sum()) // BLOCK)
+    if n_blocks < 2 * n or there.sum() < 4 * causes.shape[1]:
         return 1.0
     beside = np.hstack([causes[there, n:], np.ones((int(there.sum()), 1))])
-    sought = np.hstack([causes[there, :n], rest[there]])
+    sought = np.hstack([causes[there, :n], errors[there]])
     left = sought - beside @ np.linalg.lstsq(beside, sought, rcond=None)[0]
     told = left.std(axis=0) > EXPLAINED * np.abs(sought).max(axis=0)  # else it is rounding
     if not told[:n].any():
         return 1.0
     own = left[:, :n][:, told[:n]]
-    chances = [_chance(own * left[:, [n + o]]) for o in np.flatnonzero(told[n:])]
-    return min(1.0, rest.shape[1] * min(chances, default=1.0))
+    chances = [_chance(own * left[:, [n + o]], n_blocks) for o in np.flatnonzero(told[n:])]
+    return min(1.0, errors.shape[1] * min(chances, default=1.0))
 
 
 def _level(motion: FloatArray) -> FloatArray:
-    """(n_samples, 1) rms of the motions over the rows before."""
+    """(n_samples, 1) rms of the motions over the rows up to each, which bounds the powers."""
     sums = np.cumsum(np.concatenate([np.zeros(1), np.square(motion).mean(axis=1)]))
-    last = np.maximum(np.arange(len(motion)), 1)
+    last = np.arange(1, len(motion) + 1)
     first = np.maximum(last - BEFORE, 0)
     power = (sums[last] - sums[first]) / (last - first)
     level: FloatArray = np.sqrt(np.maximum(power, QUIETEST**2 * power.mean()))[:, np.newaxis]
     return np.maximum(level, TINY)
 
 
-def _with_past(values: FloatArray) -> FloatArray:
-    """(n_samples - LAGS + 1, LAGS n) values beside those before."""
-    n = len(values) - LAGS + 1
-    return np.hstack([values[LAGS - 1 - k :][:n] for k in range(LAGS)])
+def _with_past(values: FloatArray, lags: int) -> FloatArray:
+    """(n_samples - PAST, lags n) values of the row and of those before, from row PAST on."""
+    return np.hstack([values[PAST - k : len(values) - k] for k in range(lags)])
 
 
-def _chance(products: FloatArray) -> float:
+def _chance(products: FloatArray, n_blocks: int) -> float:
     """How often columns of the mean 0 have sums so far from it, by the scatter of their blocks (Hotelling)."""
-    blocks = np.add.reduceat(products, np.linspace(0, len(products), BLOCKS, endpoint=False).astype(int), axis=0)
+    blocks = np.add.reduceat(products, np.linspace(0, len(products), n_blocks, endpoint=False).astype(int), axis=0)
     blocks = blocks / np.maximum(np.sqrt(np.square(blocks).sum(axis=0)), TINY)
     sums, moments = blocks.sum(axis=0), blocks.T @ blocks
     values, vectors = np.linalg.eigh(moments)
     told = values > len(values) * np.finfo(float).eps * values.max()
     squared = float((np.square(vectors[:, told].T @ sums) / values[told]).sum())
-    n, freedom = int(told.sum()), BLOCKS - int(told.sum())
-    return float(scipy.special.fdtrc(n, freedom, squared / max(TINY, BLOCKS - squared) * freedom / n))
+    n, freedom = int(told.sum()), n_blocks - int(told.sum())
+    return float(scipy.special.fdtrc(n, freedom, squared / max(TINY, n_blocks - squared) * freedom / n))
