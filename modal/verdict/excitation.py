@@ -471,13 +471,15 @@ def ringing(model: ModalModel, records: Sequence[Record], left: Sequence[FloatAr
     return np.array([f_ratio(mode, float(gain), n_values) for mode, gain in zip(model.modes, gains, strict=True)])
 
 
-def undriven_doubt(mode: Mode, gain: float, duration: float) -> tuple[str, ...]:
+def undriven_doubt(mode: Mode, gain: float, duration: float, *, free: bool = False) -> tuple[str, ...]:
     """Why a mode may be no answer to the input, in words; empty where there is no doubt.
 
     Args:
         mode: from the whole record.
         gain: its mean held-out gain; nan where unknown.
         duration: of the longest record [s]; nan where unknown.
+        free: whether it rings down undriven: what drives wanders, but of what is free a line that never ends has no
+            damping beyond its deviation.
 
     Example:
         >>> mode = Mode(pole=-0.01 + 9j, kind="oscillatory", frequency=1.43, damping_ratio=0.0011,
@@ -490,6 +492,7 @@ def undriven_doubt(mode: Mode, gain: float, duration: float) -> tuple[str, ...]:
     spread = 0.0 if np.isnan(mode.damping_ratio_std) else mode.damping_ratio_std / abs(mode.damping_ratio or 1.0)
     decay = -mode.pole.real * duration * float(np.exp(-DEVIATIONS * spread))
     undamped = mode.kind == "oscillatory" and decay < LEAST_DECAY
+    undamped &= not (free and mode.damping_ratio > DEVIATIONS * mode.damping_ratio_std)
     if gain < 0:
         words = "the input does not drive it (held-out gain negative)"
         line = "an undamped line that the input does not drive (held-out gain negative): periodic disturbance?"

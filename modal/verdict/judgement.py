@@ -298,7 +298,7 @@ def judge(
         unanswered = unanswered_doubt(mode, 0.0 if chance is None else float(chance[i]), held_out)
         driven = own_gain if np.isnan(held_out) else held_out
         lucky = rings_down or (chance_line is not None and bool(chance_line[i]))  # a release fits what never ends, too
-        line = undriven_doubt(mode, min(driven, 0.0) if lucky else driven, duration)
+        line = undriven_doubt(mode, min(driven, 0.0) if lucky else driven, duration, free=rings_down)
         heavy = heavy_doubt(mode) if is_table or ringing is not None else ()
         undriven = (
             *line,

@@ -5,9 +5,10 @@ import warnings
 import numpy as np
 import pytest
 from field_records import KINDS, random_records
+from scipy.signal import lfilter
 
 from modal.identification.pipeline import identify
-from modal.preparation.kind import find_kind, given_kind
+from modal.preparation.kind import find_kind, given_kind, rings_on
 from okid.errors import InvalidDataError
 from okid.record import Record
 
@@ -120,6 +121,41 @@ def test_an_event_is_no_release(shape):
         size = np.exp(-np.square(time)) if shape == "train" else (time > 0.0).astype(float)
         motion += size[:, np.newaxis] * rng.standard_normal((3000, 2))
     assert find_kind([Record([], motion, 0.005)]).kind == "ambient"
+
+
+def brief_ringing(decibels, *, hum=0.0):
+    """Two modes over the time in which the slower one loses so many decibels, and 0.01 of noise."""
+    rng = np.random.default_rng(11)
+    duration = decibels / 20 * np.log(10) / (2 * np.pi * 3.0 * 0.004)
+    time = np.arange(0.0, duration, 0.02)
+    motion = 0.01 * rng.standard_normal((time.size, 2)) + np.outer(hum * np.cos(2 * np.pi * 16.1 * time), [1.0, 0.4])
+    for f, ratio, shape in ((3.0, 0.004, [1.0, 0.6]), (7.0, 0.003, [0.5, -0.9])):
+        motion += np.outer(np.exp(-ratio * 2 * np.pi * f * time) * np.cos(2 * np.pi * f * time), shape)
+    return Record([], motion, 0.02)
+
+
+@pytest.mark.parametrize(("decibels", "hum"), [(3.0, 0.0), (6.0, 0.3)])
+def test_a_release_that_is_measured_only_for_a_while_gives_its_modes(decibels, hum):
+    """It was ambient, its lines "sinusoids of a machine, no mode", and half of its modes were lost."""
+    result = identify(brief_ringing(decibels, hum=hum))
+    assert result.record_kind == "decay"
+    assert not any("machine" in words for words in result.warnings)
+    found = result.modes.system
+    np.testing.assert_allclose([mode.frequency for mode in found], [3.0, 7.0], rtol=1e-3)
+    for mode, ratio in zip(found, (0.004, 0.003), strict=True):
+        assert abs(mode.damping_ratio - ratio) < 4 * mode.damping_ratio_std < 0.2 * ratio
+
+
+def test_what_goes_on_or_is_driven_does_not_ring_on():
+    time = np.arange(0.0, 20.0, 0.02)
+    rng = np.random.default_rng(3)
+    lines = np.cos(2 * np.pi * 3.0 * time) + np.cos(2 * np.pi * 3.1 * time) + 0.02 * rng.standard_normal(time.size)
+    assert not rings_on(lines[:, np.newaxis])
+    poles = np.exp((-0.004 + 1j) * 2 * np.pi * np.array([3.0, 7.0]) * 0.02)
+    for seed in range(20):
+        force = np.random.default_rng(seed).standard_normal((3000, 2))
+        modes = [lfilter([1.0], [1.0, -pole], one + 0j).real[2000:] for pole, one in zip(poles, force.T, strict=True)]
+        assert not rings_on(np.column_stack(modes))
 
 
 def test_what_the_caller_says():
