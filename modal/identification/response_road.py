@@ -357,9 +357,8 @@ def _judged(found: _Found, order: int | Literal["auto"], tried: dict[ResponseWin
     )
     modes = _within(found.response, modes if fit is white else told_by_dips(_moved(modes, found)))
     of_mode = [int(np.abs(fit.poles - np.exp(mode.pole * table.dt)).argmin()) for mode in modes.modes]
-    there = [each[of_mode] for each in (ratios, onward, beneath)]
-    several = found.response.n_inputs > 1
-    modes, beyond = scattered(modes, *there, found.response.frequencies, several_forces=several)
+    f, several = found.response.frequencies, found.response.n_inputs > 1
+    modes, beyond = scattered(modes, ratios[of_mode], onward[of_mode], beneath[of_mode], f, several_forces=several)
     modes = _named(_in_these_words(modes), found.response)
     tried_orders = sorted(found.fits)
     highest = realise_from(found.decomposition, min(found.decomposition.rank, found.decomposition.max_order))

@@ -466,7 +466,7 @@ def scattered(
         within = apart < one.damping_ratio * one.frequency  # broad, with the other one in it
         if apart < LARGEST_BAND * other.frequency and one.gain < other.gain and (alike or within):
             again[i] = doubted(one, f"second pole of the mode at {hertz(other.frequency)} Hz, which is not linear")
-    for i in np.flatnonzero(off & beneath):
+    for i in np.flatnonzero(off & beneath).tolist():
         if again[i].verdict == "system":
             again[i] = doubted(again[i], "answers less than what is not linear in a stronger resonance does there")
     return replace(modes, modes=tuple(again)), words

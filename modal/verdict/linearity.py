@@ -36,7 +36,7 @@ BEFORE, QUIETEST = 100, 1e-3
 """Take the level of the motion over so many rows, and for no less than this share of that of all."""
 EXPLAINED = 1e-9
 """Ask nothing of a power or an error of which the rest explains all but such a share: that is rounding."""
-BLOCKS, BLOCK = 200, 8
+BLOCKS, BLOCK = 200, 4
 """Tell the scatter of the products from so many blocks, each of so many rows at least."""
 MOST_ROWS = 30_000
 """Ask so many rows at most, as the search for the order does: what they do not show moves no mode."""

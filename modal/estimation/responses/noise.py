@@ -221,7 +221,7 @@ def beyond_blocks(
         return ratios
     n = n_averages or 1 / float((noise.share * table.power).mean())
     seen, expected = _beside_blocks(table, noise)
-    for r in np.flatnonzero(fit.is_pair):
+    for r in np.flatnonzero(fit.is_pair).tolist():
         near = _at_resonance(table, fit, r)
         told = np.outer(np.abs(fit.shapes[:, r]) ** 2, np.abs(fit.inputs[r]) ** 2) * expected[near].any(axis=0)
         if told.sum() > 0:
@@ -264,7 +264,7 @@ def beneath_distortion(table: ResponseLines, fit: ResponseFit, noise: Noise) -> 
     seen, expected = _beside_blocks(table, noise)
     plus, minus = table.basis(fit.poles)[0]
     residues = fit.shapes.T[:, :, np.newaxis] * fit.inputs[:, np.newaxis]
-    for r in np.flatnonzero(fit.is_pair):
+    for r in np.flatnonzero(fit.is_pair).tolist():
         near = _at_resonance(table, fit, r)
         each = np.einsum("lp,pqi->plqi", plus[near], residues)
         each[fit.is_pair] += np.einsum("lp,pqi->plqi", minus[near], residues.conj())[fit.is_pair]
