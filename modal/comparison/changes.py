@@ -6,7 +6,8 @@ would "find" something in nothing; so the verdict "beyond chance" is Holm's: ove
 it is wrong in at most 5 % of comparisons of a thing with itself. A shift outside its own interval that does not pass is
 said to be just that. One of the tests is of the frequencies of all matched modes together, as `modal.track` tests them:
 what softens a structure moves many modes a little, and none need be remarkable by itself. Errors of different modes of
-one result count as independent.
+one result count as independent. All this asks whether a mode is where it was, so a pole that may itself be no mode, by
+its own doubts and not those of the data, is matched and shown but not tested, as it is neither lost nor new.
 
 A shape of complex components with standard deviations has no known correlation between these. The test takes the worst
 one: with the squared distance Q of two shapes after the best complex scaling and the sum T of the variances, P(Q > q)
@@ -38,6 +39,7 @@ from modal.comparison.shifts import (
     damping_shift,
     frequency_shift,
     match_modes,
+    of_modes,
     shape_shift,
     shared_shapes,
     summary_of,
@@ -223,6 +225,12 @@ def compare_results(before: Identification | ResultSummary, after: Identificatio
     for i, j in matching.pairs:
         one, other = first.modes[i], second.modes[j]
         freedom = first.degrees_of_freedom, second.degrees_of_freedom
+        found = (
+            frequency_shift(one, other, freedom),
+            damping_shift(one, other, freedom),
+            shape_shift(first, second, (i, j), shapes, float(matching.assurance[i, j])),
+        )
+        frequency, damping, shape = of_modes(found, one, other)
         pairs.append(
             ModePair(
                 number_before=numbers[0][id(one)],
@@ -230,9 +238,9 @@ def compare_results(before: Identification | ResultSummary, after: Identificatio
                 before=one,
                 after=other,
                 assurance=float(matching.assurance[i, j]),
-                frequency=frequency_shift(one, other, freedom),
-                damping=damping_shift(one, other, freedom),
-                shape=shape_shift(first, second, (i, j), shapes, float(matching.assurance[i, j])),
+                frequency=frequency,
+                damping=damping,
+                shape=shape,
             )
         )
     together = _together([pair.frequency.p_value for pair in pairs])

@@ -369,6 +369,25 @@ def shape_shift(
     return replace(blank, half_width=most, p_value=p_value)
 
 
+def of_modes(shifts: tuple[Shift, Shift, Shift], before: Mode, after: Mode) -> tuple[Shift, Shift, Shift]:
+    """The shifts of a pair, no chance of them known where one of the two poles may itself be no mode.
+
+    What a doubt of the data as a whole makes doubtful (a record hardly explained, a close line) is a mode but for that,
+    and its deviation holds. A pole that does not come back at other orders, or that may be the colour of the forces, is
+    another thing in each record: two modes as one in this, one of them in that.
+    """
+    if _stands_by_itself(before) and _stands_by_itself(after):
+        return shifts
+    remark = "one of the two poles may be no mode, so where it lies tells nothing of the structure"
+    frequency, damping, shape = (replace(shift, p_value=math.nan, remark=shift.remark or remark) for shift in shifts)
+    return frequency, damping, shape
+
+
+def _stands_by_itself(mode: Mode) -> bool:
+    """Whether it is a mode of the system, or would be one in better data."""
+    return mode.verdict == "system" or {what for what, _ in mode.doubts} == {"data"}
+
+
 def with_verdicts(
     several: Sequence[tuple[Shift, ...]], together: float, *, level: float
 ) -> tuple[list[tuple[Shift, ...]], bool]:

@@ -25,7 +25,7 @@ def comparison_headline(comparison: Comparison) -> str:
     untested = sum(all(shift.verdict == "not known" for shift in pair.shifts) for pair in comparison.pairs)
     if untested == n_pairs:
         modes, they = ("One mode is", "it") if n_pairs == 1 else (f"{n_pairs} modes are", "they")
-        words = f"{modes} in both results; whether {they} changed cannot be told, because no uncertainty is known"
+        words = f"{modes} in both results; whether {they} changed cannot be told, because {_why_untested(comparison)}"
         return f"{words}{'; ' + rest if rest else ''}."
     matched = "The one matched mode" if n_pairs == 1 else f"{len(shifted)} of {n_pairs} matched modes"
     if n_pairs == 1:
@@ -131,7 +131,7 @@ def how_sentence(comparison: Comparison) -> str:
     if not comparison.pairs:
         return "No shift was tested, because no mode is in both results."
     if not comparison.n_tests:
-        return "No shift could be tested, because no uncertainty is known."
+        return f"No shift could be tested, because {_why_untested(comparison)}."
     n_tests, told = comparison.n_tests, ""
     if math.isfinite(comparison.together):
         n_tests, told = n_tests - 1, ", one by one and the frequencies of all modes as one"
@@ -186,6 +186,12 @@ def _named(names: Iterable[str]) -> str:
     shown = sorted(names)
     more = f" and {len(shown) - 3} more" if len(shown) > 3 else ""
     return ", ".join(shorten(visible(name)) for name in shown[:3]) + more
+
+
+def _why_untested(comparison: Comparison) -> str:
+    """Why no shift of any pair was tested."""
+    known = any(math.isfinite(shift.half_width) for pair in comparison.pairs for shift in pair.shifts)
+    return "each may be no mode in one of them" if known else "no uncertainty is known"
 
 
 def _sure(several: tuple[Unmatched, ...]) -> int:

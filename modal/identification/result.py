@@ -16,6 +16,7 @@ import types
 import zipfile
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
 
@@ -163,6 +164,8 @@ SCHEMA_VERSION = 1
 _TEXT = "result.json"
 _MOST_TEXT = 1 << 27
 """Bytes of JSON text that are read at most: 128 MiB, some hundred times a large result's."""
+_AT_ONCE = 1 << 24
+"""Bytes that are written in one piece at most."""
 _AS_THEY_ARE = {str, bool, int, types.NoneType}
 _DTYPES = {np.dtype(name) for name in ("bool", "int32", "int64", "float64", "complex128")}
 
@@ -249,8 +252,11 @@ def read_part(given: Any, name: str, kind: type[Any]) -> Any:
 
 
 def _encode(value: Any, arrays: dict[int, tuple[str, npt.NDArray[Any]]]) -> Any:
-    if type(value) in _AS_THEY_ARE:  # most are: a result has a thousand values
+    kind: Any = type(value)
+    if kind in _AS_THEY_ARE or (kind is float and math.isfinite(value)):  # most are: a result has a thousand values
         return value
+    if names := _field_names(kind):
+        return {name: _encode(getattr(value, name), arrays) for name in names}
     if isinstance(value, np.ndarray):
         if value.dtype not in _DTYPES:
             raise InvalidDataError(f"arrays of {value.dtype} cannot be saved; use float64 or complex128.")
@@ -260,9 +266,13 @@ def _encode(value: Any, arrays: dict[int, tuple[str, npt.NDArray[Any]]]) -> Any:
         return [_encode(item, arrays) for item in value]
     if isinstance(value, complex):
         return [_encode_scalar(value.real), _encode_scalar(value.imag)]
-    if is_dataclass(value) and not isinstance(value, type):
-        return {field.name: _encode(getattr(value, field.name), arrays) for field in fields(value)}
     return _encode_scalar(value)
+
+
+@cache
+def _field_names(kind: type[Any]) -> tuple[str, ...]:
+    """Of a frozen type, in its order; none of anything else."""
+    return tuple(field.name for field in fields(kind)) if is_dataclass(kind) else ()
 
 
 def _encode_scalar(value: Any) -> Any:
@@ -276,11 +286,27 @@ def _encode_scalar(value: Any) -> Any:
 
 
 def _write(path: Path, text: str, arrays: dict[str, npt.NDArray[Any]]) -> None:
-    with zipfile.ZipFile(path, "x", zipfile.ZIP_STORED) as archive:
-        archive.writestr(zipfile.ZipInfo(_TEXT), text)  # ZipInfo: no clock, so the same result gives the same bytes
-        for name, array in arrays.items():
-            with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True) as member:
-                np.lib.format.write_array(member, np.asarray(array, order="C"), allow_pickle=False)
+    """A small archive is put together in memory: in a file each member seeks back twice, and each time is a write."""
+    small = len(text) + sum(array.nbytes for array in arrays.values()) <= _AT_ONCE
+    with path.open("xb") as file:
+        whole = io.BytesIO() if small else file
+        with zipfile.ZipFile(whole, "w", zipfile.ZIP_STORED) as archive:
+            archive.writestr(zipfile.ZipInfo(_TEXT), text)  # ZipInfo: no clock, so the same result gives the same bytes
+            for name, array in arrays.items():
+                with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True) as member:
+                    member.write(_header(array.shape, array.dtype))
+                    member.write(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
+        if isinstance(whole, io.BytesIO):
+            file.write(whole.getbuffer())
+
+
+@lru_cache(maxsize=256)
+def _header(shape: tuple[int, ...], dtype: np.dtype[Any]) -> bytes:
+    """What a .npy file begins with; a result holds the same few shapes many times."""
+    stream = io.BytesIO()
+    said = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(stream, said)
+    return stream.getvalue()
 
 
 # --- reading ---------------------------------------------------------------------------------------------------------

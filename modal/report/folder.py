@@ -67,7 +67,8 @@ def write_folder(
 ) -> None:
     """Let `write` fill a folder; it appears as `target` once it is complete, and nothing is left behind otherwise.
 
-    Of two that write into one folder at a time, the first to be complete has it, and the other is refused.
+    Of two that write into one folder at a time, the first to be complete has it, and the other is refused. What dead
+    runs have left beside it goes first.
 
     Args:
         target: made if it does not exist; other files in it stay.
@@ -79,6 +80,19 @@ def write_folder(
     Raises:
         InvalidDataError: a file of that name exists already, or the folder cannot be written.
     """
+    sweep(target.absolute().parent)
+    fill_folder(target, names, write, existing=existing, gone=gone)
+
+
+def fill_folder(
+    target: Path,
+    names: Iterable[str],
+    write: Callable[[Path], None],
+    *,
+    existing: Existing,
+    gone: Sequence[str] = (),
+) -> None:
+    """The same where the caller sweeps: one of many folders, beside which looking each time would cost their square."""
     names = list(names)
     refuse_names(target, names, existing)
     made = _make_parents(target)
@@ -133,11 +147,10 @@ def _nearest(folder: Path) -> Path:
 
 @contextlib.contextmanager
 def scratch_folder(parent: Path) -> Iterator[Path]:
-    """A folder to work in, gone when the block ends; those that dead runs have left beside it go first.
+    """A folder to work in, gone when the block ends.
 
     Who works in a folder holds a lock on it, which the system lets go when the process ends in whatever way.
     """
-    sweep(parent)
     while True:
         folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=parent))
         lock = _locked(folder, wait=True)
@@ -149,7 +162,8 @@ def scratch_folder(parent: Path) -> Iterator[Path]:
         yield folder
     finally:
         _OPEN.discard(folder)
-        shutil.rmtree(folder, ignore_errors=True)
+        if folder.exists():  # else it has taken its target's place
+            shutil.rmtree(folder, ignore_errors=True)
         _unlocked(lock)
 
 

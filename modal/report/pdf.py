@@ -16,7 +16,7 @@ import shutil
 import subprocess
 from pathlib import Path
 
-from modal.report.folder import scratch_folder
+from modal.report.folder import scratch_folder, sweep
 from okid.errors import IdentificationError, InvalidDataError
 
 BROWSERS = (
@@ -86,6 +86,7 @@ def write_pdf(html: str | os.PathLike[str], pdf: str | os.PathLike[str]) -> Path
             "a PDF needs Chromium, Chrome or Edge, and none is installed (or name one in "
             f"{BROWSER_VARIABLE}); open {page.name} in any browser and print it to a file instead."
         )
+    sweep(target.absolute().parent)
     try:
         with scratch_folder(target.absolute().parent) as folder:
             printed = folder / "report.pdf"

@@ -1,10 +1,12 @@
 """How often `diff` sees a change where there is none, and how often it sees one that is there.
 
 Random systems (tests/reference/random_problems.py), each measured several times with fresh noise: every pair of these
-results compares a system with itself. A real change that needs no model: the same samples with a time step smaller by
-the share d are a system whose frequencies are all higher by d / (1 - d) and whose damping ratios are the same.
+results compares a system with itself. `--kind` takes records of another kind (tests/reference/field_records.py), one
+structure several times. A real change that needs no model: the same samples with a time step smaller by the share d are
+a system whose frequencies are all higher by d / (1 - d) and whose damping ratios are the same.
 
     python tests/benchmarks/comparison_alarms.py --systems 12 --realisations 5
+    python tests/benchmarks/comparison_alarms.py --kind ambient --systems 30 --realisations 3 --first 700
 """
 
 import argparse
@@ -18,6 +20,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "reference"))
 
+from field_records import KINDS, random_records
 from random_problems import random_problem
 
 from modal.comparison.changes import compare_results
@@ -33,10 +36,11 @@ def main():
     parser.add_argument("--systems", type=int, default=12)
     parser.add_argument("--realisations", type=int, default=5)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--kind", choices=("random", *KINDS), default="random")
     options = parser.parse_args()
     counts, seen = Counter(), {share: [] for share in SHARES}
     for seed in range(options.first, options.first + options.systems):
-        results = [identified(seed, number) for number in range(options.realisations)]
+        results = [summary_of(identify(one)) for one in records_of(options.kind, seed, options.realisations)]
         for before, after in itertools.combinations(results, 2):
             count(compare_results(before, after), counts)
         for share in SHARES:
@@ -47,11 +51,17 @@ def main():
     report(counts, seen)
 
 
-def identified(seed, number):
+def records_of(kind, seed, n_records):
+    """Records of one system, each with its own noise; inputs that never moved in a record left out."""
+    if kind != "random":
+        several = random_records(kind, seed, n_records=n_records)
+        return [Record(u[:, u.any(axis=0)], y, several.dt) for u, y in several.records]
     problem = random_problem(seed)
     training = slice(0, problem.n_training)
-    record = Record(problem.inputs[training], problem.noisy(number)[training], problem.system.dt)
-    return summary_of(identify(record))
+    return [
+        Record(problem.inputs[training], problem.noisy(number)[training], problem.system.dt)
+        for number in range(n_records)
+    ]
 
 
 def faster(result, share):
@@ -75,6 +85,9 @@ def count(comparison, counts):
     )
     alarm = comparison.moved_together or any(shift.verdict == "beyond chance" for shift in shifts)
     counts["with a false alarm"] += alarm
+    counts["pairs not tested"] += sum(
+        all(one.verdict == "not known" for one in pair.shifts) for pair in comparison.pairs
+    )
     counts["together tests"] += np.isfinite(comparison.together)
     counts["together below 5 %"] += comparison.together < 0.05
     counts["together beyond chance"] += comparison.moved_together
@@ -96,7 +109,8 @@ def detected(comparison):
 
 def report(counts, seen):
     n = counts["comparisons"]
-    print(f"{n} comparisons of a system with itself, {counts['matched']} matched modes")
+    untested = counts["pairs not tested"]
+    print(f"{n} comparisons of a system with itself, {counts['matched']} matched modes, {untested} of them not tested")
     print(f"a false alarm in {counts['with a false alarm']} of them ({100 * counts['with a false alarm'] / n:.1f} %)")
     for what in ("frequency", "damping ratio", "shape", "together"):
         tests = max(counts[f"{what} tests"], 1)

@@ -18,9 +18,10 @@ import pytest
 
 import modal
 import okid
-from modal.batch import Batch, ExecutorError
+from modal.batch import Batch, ExecutorError, running
 from modal.batch.running import WorkerDiedError, Workers
 from modal.command.main import status as _status
+from modal.report import folder
 from okid import gram
 from okid.errors import InvalidDataError, UnreadableFileError
 
@@ -131,6 +132,22 @@ def test_a_pipe_is_a_failure_and_not_waited_for(runs, tmp_path):
     found = rows(modal.identify_batch([runs / "run_0.csv", tmp_path / "pipe.csv"], tmp_path / "out", **QUICK))
     assert (found["run_0"]["status"], found["pipe"]["status"]) == ("done", "failed")
     assert "is a pipe or a device, and no file" in found["pipe"]["message"]
+
+
+def test_a_batch_looks_for_what_dead_runs_left_as_often_whatever_its_size(tmp_path, monkeypatch):
+    """Beside each record it would see all others: a cost of their square."""
+    looks, look = [], folder.sweep
+    for module in (folder, running):
+        monkeypatch.setattr(module, "sweep", lambda parent: looks.append(parent) or look(parent))
+    (tmp_path / "out" / "records" / ".modal-report-dead").mkdir(parents=True)
+    for n_files in (1, 5):
+        for number in range(n_files):
+            (tmp_path / f"empty_{number}.csv").write_text("")
+        batch = modal.identify_batch(str(tmp_path / "*.csv"), tmp_path / "out", **QUICK)
+        assert len(rows(batch)) == n_files
+        assert not parts(batch.folder)
+        assert len(looks) == 2
+        looks.clear()
 
 
 def test_failures_are_results_with_a_sentence_and_exit_1(runs, tmp_path, capsys):

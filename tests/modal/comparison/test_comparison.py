@@ -35,6 +35,7 @@ def result(identification):
             damping_ratio_std=10 * STD * abs(mode.damping_ratio),
             shape_std=np.full(3, 0.01),
             damping_resolved=True,
+            doubts=() if mode.verdict == "system" else (("data", "a record hardly explained"),),
         )
         for mode in identification.modes
     )
@@ -184,6 +185,32 @@ def test_a_frequency_is_weighed_by_its_joint_deviation(result, deviations, verdi
     assert shift.half_width == pytest.approx(1.96 * math.sqrt(2) * STD, rel=1e-3)
     assert found.changed == (verdict == "beyond chance")
     assert verdict.split()[0] in words.shift_sentence(shift) or verdict == "perhaps chance"
+
+
+@pytest.mark.parametrize(
+    ("doubts", "tested"),
+    [
+        ((("data", "hardly explained"),), True),
+        ((), False),  # it does not come back at other orders
+        ((("data", "hardly explained"), ("pole", "may be the colour of the forces")), False),
+    ],
+)
+def test_a_pole_that_may_itself_be_no_mode_is_shown_and_not_tested(result, doubts, tested):
+    """One pole where another record shows two modes lies far from either, whatever its deviation."""
+    doubtful = other(result, 1, 1 + 9 * STD, verdict="doubtful", doubts=doubts)
+    for found in (compare_results(result, doubtful), compare_results(doubtful, result)):
+        pair = found.pairs[1]
+        assert abs(pair.frequency.change) == pytest.approx(9 * STD, rel=0.01)
+        assert pair.frequency.half_width == pytest.approx(1.96 * math.sqrt(2) * STD, rel=0.02)
+        assert {shift.verdict != "not known" for shift in pair.shifts} == {tested}
+        assert found.n_tests == (13 if tested else 10)
+        assert found.changed == tested
+        assert ("; of 1 it cannot be told" in words.comparison_headline(found)) != tested
+        assert tested or "may be no mode" in words.shift_sentence(pair.frequency)
+    alone = with_modes(doubtful, doubtful.modes.modes[1:2])
+    found = compare_results(alone, alone)
+    assert ("because each may be no mode in one of them" in words.comparison_headline(found)) != tested
+    assert ("because each may be no mode in one of them" in words.how_sentence(found)) != tested
 
 
 @pytest.mark.parametrize(("deviations", "beyond"), [(1.2, False), (2.2, True)])

@@ -1,9 +1,11 @@
 """A result comes back from its file bit for bit; a file that is not one is refused in one sentence."""
 
+import io
 import json
 import pickle
 import zipfile
 from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -103,6 +105,33 @@ def test_a_shared_array_is_stored_once(identification, tmp_path):
     assert twice - once < identification.records[0].inputs.nbytes
 
 
+def test_a_small_archive_is_written_in_one_piece_and_a_large_one_as_numpy_writes_it(
+    identification, tmp_path, monkeypatch
+):
+    written = []
+
+    class Counted(io.FileIO):
+        def write(self, data):
+            written.append(len(data))
+            return super().write(data)
+
+    def counted(path, mode):
+        return Counted(path, mode)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "open", counted)
+        small = identification.save(tmp_path / "small.npz")
+    assert written == [small.stat().st_size]
+    monkeypatch.setattr(storage, "_AT_ONCE", 0)
+    large = identification.save(tmp_path / "large.npz")
+    assert large.read_bytes() == small.read_bytes()
+    with zipfile.ZipFile(small) as archive:
+        for name in archive.namelist()[1:]:
+            stream = io.BytesIO()
+            np.lib.format.write_array(stream, np.load(io.BytesIO(archive.read(name))))
+            assert archive.read(name) == stream.getvalue()
+
+
 def test_an_existing_file_is_kept_unless_told(identification, tmp_path):
     path = tmp_path / "a.npz"
     path.write_text("precious")
@@ -125,7 +154,7 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(identification, tmp
     def full_disk(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(np.lib.format, "write_array", lambda *_, **__: full_disk())
+    monkeypatch.setattr(storage, "_header", full_disk)
     with pytest.raises(InvalidDataError, match="cannot be written"):
         identification.save(path, existing="replace")
     assert path.read_bytes() == before
