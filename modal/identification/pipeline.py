@@ -433,7 +433,7 @@ def _identified(
         )
     modes = ringing_down.modes
     varying = changing_modes(modes, asked, left_there, output_scale=reruns.output_scale) if is_driven else ()
-    chance = chance_of_powers(runs.records, runs.predicted) if is_driven and final.feedback == "none" else 1.0
+    chance = chance_of_powers(runs.records, runs.predicted) if final.feedback == "none" else 1.0
     tell("checking residuals", 0.9)
     fitted_to = runs.records
     if final.refined is not None and final.noise is None and white is None:
