@@ -29,7 +29,7 @@ from modal.preparation.band import missed_share, share_that_follows
 from modal.preparation.delay import late_and_early, late_inputs
 from modal.preparation.drift import summed_inputs, without_drift
 from modal.verdict.judgement import DOUBTED
-from modal.verdict.linearity import NOT_LINEAR, chance_of_powers
+from modal.verdict.linearity import powers_of_motion
 from modal.verdict.probability import FILTER_EDGE, LEAST_FIT, MOST_MISSED
 from modal.wording.text import NINETY_FIVE, fit_text, hertz, listed
 from okid.errors import IdentificationError, IdentificationWarning, InvalidDataError
@@ -65,7 +65,7 @@ def with_undriven(result: Identification, again: Callable[[Sequence[Record]], Id
     ]
     if not own:
         return result
-    crooked = chance_of_powers(result.records, result.predicted) < NOT_LINEAR
+    crooked = powers_of_motion(result.records, result.predicted).told
     return _joined(result, ambient, [_told(mode, result.channels.n_inputs, crooked=crooked) for mode in own])
 
 

@@ -61,7 +61,7 @@ from modal.verdict.constancy import changing_modes, unsteady_drive
 from modal.verdict.excitation import between_lines, beyond_inputs, by_chance, driven_gain, ringing, standing_out
 from modal.verdict.filled import filled_words, told_where_measured
 from modal.verdict.judgement import judge
-from modal.verdict.linearity import NOT_LINEAR, chance_of_powers
+from modal.verdict.linearity import Powers, powers_of_motion
 from modal.verdict.probability import FILTER_EDGE
 from modal.verdict.repeatability import repeat
 from modal.verdict.ring_down import RingDownAnswer, told_of_ring_down
@@ -433,7 +433,7 @@ def _identified(
         )
     modes = ringing_down.modes
     varying = changing_modes(modes, asked, left_there, output_scale=reruns.output_scale) if is_driven else ()
-    chance = chance_of_powers(runs.records, runs.predicted) if final.feedback == "none" else 1.0
+    powers = powers_of_motion(runs.records, runs.predicted) if final.feedback == "none" else Powers()
     tell("checking residuals", 0.9)
     fitted_to = runs.records
     if final.refined is not None and final.noise is None and white is None:
@@ -490,7 +490,7 @@ def _identified(
                 residuals=innovations if searched.chosen.grew and innovations else residuals,
                 seen=None if not preparation.measured_if_filled else left_seen if final.leaves_nearly_white else (),
                 found=searched,
-                is_linear=not chance < NOT_LINEAR,
+                powers=powers,
             ),
             *records_apart(*left_alone_and_together(prepared, left)),
             *noise_words(modes, inflation),

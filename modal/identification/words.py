@@ -27,12 +27,14 @@ from modal.modes.modal_mass import DERIVATIVES
 from modal.modes.mode import Choice, Fit, ModalModel, Mode
 from modal.verdict.excitation import BetweenLines
 from modal.verdict.judgement import DOUBTED, Reruns
+from modal.verdict.linearity import Powers
 from modal.verdict.probability import MOST_MISSED
 from modal.verdict.stabilisation import stabilisation
 from modal.wording.text import (
     GOOD_FIT,
     LEAST_FIT,
     NINETY_FIVE,
+    NOT_LINEAR,
     counted,
     hertz,
     percent,
@@ -238,7 +240,7 @@ def warnings_in_words(
     residuals: ResidualCheck,
     seen: Sequence[FloatArray] | None,
     found: Search,
-    is_linear: bool,
+    powers: Powers,
 ) -> tuple[str, ...]:
     """What the user must read before believing a number; empty when all is well.
 
@@ -247,7 +249,7 @@ def warnings_in_words(
     where that is nearly white, NaN elsewhere, else nothing.
     """
     driven = records[0].n_inputs > 0
-    words = _fit_words(records[0], fit, missed, has_modes=bool(modes.system), is_linear=is_linear)
+    words = _fit_words(records[0], fit, missed, has_modes=bool(modes.system), powers=powers)
     if min(float(np.ptp(fit.folds)), float(np.ptp(_fits_to_all(found)))) > FOLDS_APART:
         words.append(
             f"Parts of the data fit very differently ({fit.folds.min():.2f} to {fit.folds.max():.2f} over the folds): "
@@ -283,7 +285,7 @@ def warnings_in_words(
     return (*words, *(() if excitation is None else _excitation_words(excitation)))
 
 
-def _fit_words(record: Record, fit: Fit, missed: float, *, has_modes: bool, is_linear: bool) -> list[str]:
+def _fit_words(record: Record, fit: Fit, missed: float, *, has_modes: bool, powers: Powers) -> list[str]:
     """How little the model reproduces of such records, and why, where that is little."""
     words, driven = [], record.n_inputs > 0
     if fit.mean < EXPLAINS or missed > MOST_MISSED:
@@ -292,7 +294,7 @@ def _fit_words(record: Record, fit: Fit, missed: float, *, has_modes: bool, is_l
         if missed > MOST_MISSED or not driven or not has_modes:
             much = f" and leaves {100 * missed:.0f} % of what the inputs explain" if missed > MOST_MISSED else ""
             words.append(f"The model does not explain the data: {how}{much}, so no mode is certain.")
-        elif is_linear:
+        elif not powers.told:
             words.append(
                 f"Noise or forces that were not measured make most of the outputs: {how}, and what it leaves "
                 "does not follow the inputs. The modes hold all the same: each is judged by itself."
@@ -307,11 +309,11 @@ def _fit_words(record: Record, fit: Fit, missed: float, *, has_modes: bool, is_l
         ]
         if poor:
             words.append(f"The model does not reproduce these outputs (fit to data kept aside): {', '.join(poor)}.")
-    if not is_linear:
+    if powers.told:
         words.append(
-            "Something is not linear: errors of the prediction follow squares and cubes of the motion, as they do by "
-            "chance in less than one record of 10 000. Modes and damping are an average at this level of motion, and "
-            "another level gives others; `modal-report gap` names the effect."
+            f"{NOT_LINEAR}: squares and cubes of the motion make {percent(powers.share)} of the prediction's errors, "
+            "and as much by chance in less than one record of 10 000. Modes and damping are an average at this level "
+            "of motion, and another level gives others; `modal-report gap` names the effect."
         )
     return words
 

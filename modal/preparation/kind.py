@@ -57,8 +57,8 @@ DEVIATIONS = 6.0
 MOST_COLUMNS, MOST_STARTS, MOST_OUTPUTS, MOST_STATES = 60, 1500, 6, 40
 """Foretell the second half of a record from so many samples of its first, so often, for so many independent outputs and
 as so many states at most;"""
-SPAN = 0.2
-"""samples that lie within this share of the record,"""
+SPAN, GOLDEN = 0.2, 0.6180339887498949
+"""samples that lie within this share of the record, spread by this ratio, which repeats no distance,"""
 NO_WORSE = 1.5
 """and call it foretold where the error has no more than so many times the power of that one sample ahead: of what is
 driven it grows until nothing is foretold (ambient records of up to 1000 rows, own loop: below 2 in 21 of 720),"""
@@ -318,7 +318,7 @@ def rings_on(outputs: FloatArray) -> bool:
     starts = np.unique(np.linspace(span, n_rows - half - 1, MOST_STARTS).astype(int))
     if n_outputs == 0 or starts.size < 2 * n_lags * n_outputs:
         return False
-    spread = np.r_[0, 1 + np.random.default_rng(0).permutation(span - 1)[: n_lags - 1]]
+    spread = np.unique((span * (GOLDEN * np.arange(n_lags) % 1.0)).astype(int))  # of no period; 0 is the first
     windows, later, close = (
         np.hstack([values[first - lag] for lag in lags])
         for first, lags in ((starts, spread), (starts + half, spread), (starts, np.arange(n_lags)))

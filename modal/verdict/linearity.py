@@ -42,7 +42,25 @@ MOST_ROWS = 30_000
 """Ask so many rows at most, as the search for the order does: what they do not show moves no mode."""
 
 
-def chance_of_powers(records: Sequence[Record], predicted: Sequence[Record]) -> float:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Powers:
+    """What squares and cubes of the motion make of the errors of a prediction.
+
+    Attributes:
+        chance: how often those of a linear system follow them as well; 1 where nothing is told.
+        share: of the power of the errors that they make, beyond chance, in the output that shows most.
+    """
+
+    chance: float = 1.0
+    share: float = 0.0
+
+    @property
+    def told(self) -> bool:
+        """Whether something is not linear."""
+        return self.chance < NOT_LINEAR
+
+
+def powers_of_motion(records: Sequence[Record], predicted: Sequence[Record]) -> Powers:
     """How often the errors of a linear system's prediction follow squares and cubes of what is predicted as well.
 
     Two principal motions give second and third Hermite polynomials, less what is known linearly. Their products with
@@ -56,10 +74,11 @@ def chance_of_powers(records: Sequence[Record], predicted: Sequence[Record]) -> 
     Example:
         >>> force, noise = np.random.default_rng(0).standard_normal((2, 8000, 1))
         >>> record = Record(force, force + 0.1 * force**3 + noise, 0.01)
-        >>> chance_of_powers([record], [Record(force, 1.3 * force, 0.01)]) < 1e-9
-        True
-        >>> chance_of_powers([Record(force, force + noise, 0.01)], [Record(force, force, 0.01)]) > 0.01
-        True
+        >>> found = powers_of_motion([record], [Record(force, 1.3 * force, 0.01)])
+        >>> found.told, round(found.share, 2)  # of 0.1 (u^3 - 3 u), whose variance is 0.06
+        (True, 0.05)
+        >>> powers_of_motion([Record(force, force + noise, 0.01)], [Record(force, force, 0.01)]).told
+        False
     """
     n_inputs, n_outputs = records[0].n_inputs, records[0].n_outputs
     both = [
@@ -68,7 +87,7 @@ def chance_of_powers(records: Sequence[Record], predicted: Sequence[Record]) -> 
         if record.n_samples > max(n_inputs + n_outputs, PAST)
     ]
     if n_inputs == 0 or not both:
-        return 1.0
+        return Powers()
     asked = spread_stretches(both, MOST_ROWS)
     known, errors = (np.vstack([getattr(one, name) for one in asked]) for name in ("inputs", "outputs"))
     middle, size = np.nanmean(known, axis=0), np.maximum(np.nanstd(known, axis=0), TINY)
@@ -83,7 +102,8 @@ def chance_of_powers(records: Sequence[Record], predicted: Sequence[Record]) -> 
         _Part(known=values @ of_known, motion=values[:, n_inputs:] @ of_motion, past=own @ of_errors, errors=own)
         for values, own in zip(np.split(scaled, ends), np.split(left, ends), strict=True)
     ]
-    return max(_chance_of(parts, levelled=levelled) for levelled in (False, True))
+    forms = [_asked(parts, levelled=levelled) for levelled in (False, True)]
+    return Powers(chance=max(form.chance for form in forms), share=max(form.share for form in forms))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -103,8 +123,8 @@ def _principal(values: FloatArray, most: int) -> FloatArray:
     return np.asarray(axes / np.maximum((whole @ axes).std(axis=0), TINY), dtype=np.float64)
 
 
-def _chance_of(parts: Sequence[_Part], *, levelled: bool) -> float:
-    """The chance of the errors, with powers of motions and their increments as they are or over their levels."""
+def _asked(parts: Sequence[_Part], *, levelled: bool) -> Powers:
+    """What is made of the errors by powers of motions and their increments as they are or over their levels."""
     paces = np.sqrt(np.nanmean(np.vstack([np.square(np.diff(part.motion, axis=0)) for part in parts]), axis=0))
     linear, powers = [], []
     for part in parts:
@@ -123,16 +143,19 @@ def _chance_of(parts: Sequence[_Part], *, levelled: bool) -> float:
     there = known & np.isfinite(errors).all(axis=1)
     n_blocks = min(BLOCKS, int(there.sum()) // BLOCK)
     if n_blocks < 2 * n or there.sum() < 4 * causes.shape[1]:
-        return 1.0
+        return Powers()
     beside = np.hstack([causes[there, n:], np.ones((int(there.sum()), 1))])
     sought = np.hstack([causes[there, :n], errors[there]])
     left = sought - beside @ np.linalg.lstsq(beside, sought, rcond=None)[0]
     told = left.std(axis=0) > EXPLAINED * np.abs(sought).max(axis=0)  # else it is rounding
     if not told[:n].any():
-        return 1.0
+        return Powers()
     own = left[:, :n][:, told[:n]]
     chances = [_chance(own * left[:, [n + o]], n_blocks) for o in np.flatnonzero(told[n:])]
-    return min(1.0, errors.shape[1] * min(chances, default=1.0))
+    made = own @ np.linalg.lstsq(own, left[:, n:], rcond=None)[0]
+    powers = np.maximum(np.square(errors[there]).sum(axis=0), TINY)
+    share = (np.square(made).sum(axis=0) - own.shape[1] * np.square(left[:, n:] - made).mean(axis=0)) / powers
+    return Powers(chance=min(1.0, errors.shape[1] * min(chances, default=1.0)), share=max(0.0, float(share.max())))
 
 
 def _level(motion: FloatArray) -> FloatArray:

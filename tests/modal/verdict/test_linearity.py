@@ -7,7 +7,7 @@ from nonlinear_chain import run_chain
 from scipy.signal import lfilter
 
 import modal
-from modal.verdict.linearity import NOT_LINEAR, chance_of_powers
+from modal.verdict.linearity import NOT_LINEAR, powers_of_motion
 from okid.record import Record
 
 DT = 0.01
@@ -29,8 +29,14 @@ def sprung(force, *, hardening, noise, rng):
     return moved + noise * moved.std() * rng.standard_normal(len(force))
 
 
+def chance_of_powers(records, predicted):
+    return powers_of_motion(records, predicted).chance
+
+
 def told(result):
-    return [words for words in result.warnings if "Something is not linear: errors of the prediction" in words]
+    return [
+        words for words in result.warnings if "Something is not linear: squares and cubes of the motion make" in words
+    ]
 
 
 def test_a_hardening_spring_is_said_to_be_not_linear():
