@@ -223,7 +223,10 @@ def _moves_nearby(part: FloatArray, k: int, channel: Channel) -> bool:
 
 
 def missing_findings(channel: Channel) -> list[Finding]:
-    """Missing samples of one channel; a record of a set-up that did not measure it lacks none."""
+    """Missing samples of one channel; a record of a set-up that did not measure it lacks none.
+
+    An output counts where it was measured, so gaps cost no more than precision; what an input did moves all of them.
+    """
     measured = [number for number, part in enumerate(channel.parts) if np.isfinite(part).any()]
     measured = measured or list(range(len(channel.parts)))
     gaps = [(number, *run) for number in measured for run in runs_of(np.isnan(channel.parts[number]))]
@@ -233,13 +236,15 @@ def missing_findings(channel: Channel) -> list[Finding]:
     spans = tuple(channel.span(*gap) for gap in gaps[:MOST_SPANS])
     share = sum(stop - start for _, start, stop in gaps) / sum(channel.parts[number].size for number in measured)
     several = f"{len(gaps)} gaps of at most" if len(gaps) > 1 else "one gap of"
+    is_input = channel.role == "input"
+    cost = "the rows they touch are left out" if is_input else "it counts where it was measured"
+    more = "; leave the channel out if the others matter more." if is_input and share > SERIOUS else "."
     return [
         channel.finding(
-            level="bad" if share > MOSTLY else "doubtful" if share > SERIOUS else "note",
+            level="bad" if is_input and share > MOSTLY else "doubtful" if share > SERIOUS else "note",
             what="missing samples",
             sentence=f"{channel.role} {named(channel.name)} lacks {percent(share)} of its samples, in {several} "
-            f"{spoken(longest * channel.dt)} s: the rows they touch are left out"
-            + ("; leave the channel out if the others matter more." if share > SERIOUS else "."),
+            f"{spoken(longest * channel.dt)} s: {cost}{more}",
             spans=spans,
             share=share,
         )
@@ -247,11 +252,11 @@ def missing_findings(channel: Channel) -> list[Finding]:
 
 
 def gap_findings(records: Sequence[Record]) -> list[Finding]:
-    """Gaps of all channels together that leave few rows with a complete past."""
+    """Gaps of all inputs together, or of outputs that nothing measured drives, that leave few rows of a whole past."""
     n_usable = n_rows = 0
     for record in records:
         there = np.isfinite(record.outputs)
-        whole = np.hstack([there | ~there.any(axis=0), np.isfinite(record.inputs)])
+        whole = np.isfinite(record.inputs) if record.n_inputs else there | ~there.any(axis=0)
         complete = np.asarray(whole.all(axis=1), dtype=np.bool_)
         order = min(OBSERVER_ORDER, record.n_samples // 4)
         n_usable += int(usable_rows(complete, order).sum())

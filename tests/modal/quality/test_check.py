@@ -40,7 +40,7 @@ def test_a_clean_record_of_any_kind_has_nothing_wrong(kind):
     [
         ("constant", 1, "constant", "bad"),
         ("stuck", 0.02, "stuck", "bad"),
-        ("missing", 0.7, "missing samples", "bad"),
+        ("missing", 0.7, "missing samples", "doubtful"),
         ("clipped", 0.02, "clipped", "bad"),
         ("coarse", 3, "coarse", "doubtful"),
         ("spikes", 0.003, "spikes", "bad"),

@@ -68,13 +68,24 @@ def test_an_offset_is_noted_from_ten_times_the_motion(channel_of, mean, n_found)
     assert [finding.level for finding in found] == ["note"] * n_found
 
 
-@pytest.mark.parametrize(("share", "level"), [(0.0, None), (0.01, "note"), (0.2, "doubtful"), (0.7, "bad")])
-def test_missing_samples_are_counted(channel_of, share, level):
+@pytest.mark.parametrize(
+    ("share", "level", "role"),
+    [
+        (0.0, None, "output"),
+        (0.01, "note", "output"),
+        (0.2, "doubtful", "input"),
+        (0.7, "bad", "input"),
+        (0.7, "doubtful", "output"),
+    ],
+)
+def test_missing_samples_are_counted(channel_of, share, level, role):
+    """Outputs count where they were measured; their page said "mend or replace the data, all modes are provisional"."""
     values = np.random.default_rng(0).standard_normal(2000)
     values[: round(share * 2000)] = np.nan
-    found = missing_findings(channel_of(values))
+    found = missing_findings(channel_of(values, role=role))
     assert [finding.level for finding in found] == ([] if level is None else [level])
     for finding in found:
+        assert ("counts where it was measured" in finding.sentence) == (role == "output")
         assert finding.share == pytest.approx(share)
         assert finding.spans == ((0, 0.0, pytest.approx(share * 20.0)),)
 
