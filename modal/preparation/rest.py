@@ -256,6 +256,7 @@ def _rests(record: Record, first: int) -> bool:
 
 def _looks_white(values: FloatArray) -> bool:
     """Box and Pierce: the first autocorrelations of each column, together, are no greater than those of chance."""
+    values = values[:, np.isfinite(values).any(axis=0)]  # the others are measured later
     centred = np.nan_to_num(values - np.nanmean(values, axis=0))
     power = np.square(centred).sum(axis=0)
     if not power.any():

@@ -99,3 +99,12 @@ def test_a_force_between_the_blows_that_explains_more_is_kept():
     found = with_rest([Record(force, outputs, 0.01)])
     assert found.choices[1].value == "not used"
     np.testing.assert_allclose(found.records[0].inputs[found.n_rest[0] :, 0], force, atol=1e-3)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_sensor_that_is_moved_after_the_blow_hides_no_rest():
+    """Of what nothing was measured before the blow the mean was taken, with a warning of numpy."""
+    record = struck(400, level=0.0, noise=1e-3)
+    later = np.where(np.arange(record.n_samples) < 900, np.nan, record.outputs[:, 0])
+    both = Record(record.inputs, np.column_stack([record.outputs[:, 0], later]), record.dt)
+    assert with_rest([both]).n_rest[0] > 100
