@@ -16,6 +16,7 @@ from typing import Literal, get_args
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from modal.modes.mode import Choice
 from okid.arrays import BoolArray, FloatArray
@@ -55,19 +56,19 @@ LEAVES_REST = 0.01
 DEVIATIONS = 6.0
 """and so many standard deviations: chance has one in a thousand million."""
 MOST_COLUMNS, MOST_STARTS, MOST_OUTPUTS, MOST_STATES = 60, 1500, 6, 40
-"""Foretell the second half of a record from so many samples of its first, so often, for so many independent outputs and
-as so many states at most;"""
-SPAN, GOLDEN = 0.2, 0.6180339887498949
-"""samples that lie within this share of the record, spread by this ratio, which repeats no distance,"""
+"""Foretell a third of a record from so many samples of the one before, so often, for so many independent outputs and as
+so many states at most;"""
+GOLDEN = 0.6180339887498949
+"""spread those samples by this ratio, which repeats no distance,"""
 NO_WORSE = 1.5
-"""and call it foretold where the error has no more than so many times the power of that one sample ahead: of what is
-driven it grows until nothing is foretold (ambient records of up to 1000 rows, own loop: below 2 in 21 of 720),"""
+"""and call it foretold where the error has no more than so many times the power of that one sample ahead,"""
 MOST_LEFT = 0.05
 """no more than this share of the record's power (few rows of a single mode foretell themselves by chance),"""
 MOST_UNTOLD = 0.5
-"""and of that of the second half: what has gone by is quiet, and nothing foretold it,"""
-FALLS = 0.8
-"""and see it die away where it loses a fifth of its power, a decibel, over half of the record: a machine's does not."""
+"""and of that of what is foretold: what has gone by is quiet, and nothing foretold it,"""
+FALLS = 0.63
+"""and see it die away where no more than this share of its power, two decibels less, is left over the record: a
+machine's does not."""
 RISE = 2.0
 """Call it a rise where a part has so many times the power of the one before it, above that of the record's end."""
 
@@ -235,8 +236,9 @@ def _by_outputs(records: Sequence[Record]) -> KindFound:
     struck = any(starts)
     words = f"the outputs start with {least:.3g} times the power that they end with"
     words = words if least > 0.0 else "the outputs move no more at their start than later"
-    if not all(decays) and all(one or rings_on(outputs) for one, outputs in zip(decays, free, strict=True)):
-        words = "the first half foretells the second as well as a row the next, at less power"
+    onward = [True if one else rings_on(outputs) for one, outputs in zip(decays, free, strict=True)]
+    if not all(decays) and True in onward and False not in onward:  # too few rows to ask say nothing
+        words = "each third foretells the next as well as a row the next row, at less power"
         return _found("decay", f"{words}, and there is no input: it rings down undisturbed", starts=starts)
     if all(decays):
         words = f"after a blow or a release that was not measured, {words}" if struck else words
@@ -298,12 +300,13 @@ def rings_down(outputs: FloatArray) -> bool:
     return ratio >= FAR_ABOVE or (ratio >= ABOVE and fall)
 
 
-def rings_on(outputs: FloatArray) -> bool:
-    """Whether what a record starts with foretells all of it, and dies away.
+def rings_on(outputs: FloatArray) -> bool | None:
+    """Whether what a record starts with foretells all of it, and dies away; None of too few rows to ask.
 
     A sum of modes that nothing drives is foretold over any time: y(t + h) is linear in samples before t, with errors
-    that are those of one row ahead, and states that are powers of h. What is driven is forgotten. Halves of the rows
-    are held out. A machine's sinusoids are foretold, too, but do not die away.
+    that are those of one row ahead, and states that are powers of h. What is driven is forgotten: what leads from the
+    first third of a record to the second does not lead from there to the last. A machine's sinusoids are foretold, too,
+    but do not die away.
 
     Example:
         >>> time = np.arange(600.0)
@@ -313,30 +316,34 @@ def rings_on(outputs: FloatArray) -> bool:
     """
     values = _independent(outputs)
     n_rows, n_outputs = values.shape
-    span, half = int(SPAN * n_rows), n_rows // 2
-    n_lags = min(span, max(2, min(MOST_COLUMNS, n_rows // 8) // max(1, n_outputs)))
-    starts = np.unique(np.linspace(span, n_rows - half - 1, MOST_STARTS).astype(int))
+    third, span = n_rows // 3, n_rows // 6
+    n_lags = min(span, max(2, min(MOST_COLUMNS, n_rows // 12) // max(1, n_outputs)))
+    starts = np.unique(np.linspace(span, third - 1, MOST_STARTS).astype(int)) if span else np.zeros(0, dtype=int)
     if n_outputs == 0 or starts.size < 2 * n_lags * n_outputs:
-        return False
+        return None
     spread = np.unique((span * (GOLDEN * np.arange(n_lags) % 1.0)).astype(int))  # of no period; 0 is the first
-    windows, later, close = (
-        np.hstack([values[first - lag] for lag in lags])
-        for first, lags in ((starts, spread), (starts + half, spread), (starts, np.arange(n_lags)))
-    )
-    there = np.isfinite(np.hstack([windows, later, close, values[starts + 1]])).all(axis=1)
-    windows, later, close, soon = windows[there], later[there], close[there], values[starts + 1][there]
-    if len(windows) < 2 * n_lags * n_outputs:
+
+    def before(rows: NDArray[np.intp], lags: NDArray[np.intp]) -> FloatArray:
+        return np.hstack([values[rows - lag] for lag in lags])
+
+    pairs = [  # windows and what follows them, a third of the record ahead and a row ahead
+        [(before(rows, lags), values[rows + ahead]) for rows in (starts, starts + third)]
+        for lags, ahead in ((spread, third), (spread, 1), (np.arange(n_lags), 1))
+    ]
+    there = np.isfinite(np.hstack([each for pair in pairs for part in pair for each in part])).all(axis=1)
+    if there.sum() < 2 * n_lags * n_outputs:
+        return None
+    left, *at_once = (_foretold([(windows[there], wanted[there]) for windows, wanted in pair]) for pair in pairs)
+    power = np.mean([np.square(wanted[there]).mean() for _, wanted in pairs[0]])
+    if left[0] > min(MOST_LEFT, NO_WORSE * min(error for error, _ in at_once), MOST_UNTOLD * float(power)):
         return False
-    left, n_states = _foretold(windows, later[:, :n_outputs])
-    at_once = min(_foretold(each, soon)[0] for each in (windows, close))
-    if left > min(MOST_LEFT, NO_WORSE * at_once, MOST_UNTOLD * np.square(later[:, :n_outputs]).mean()):
-        return False
-    axes = np.linalg.svd(windows, full_matrices=False)[2][:n_states].T
-    states = windows @ axes
-    onward, vectors = np.linalg.eig(np.linalg.lstsq(states, later @ axes, rcond=None)[0].T)
+    first, second = (windows[there] for windows, _ in pairs[0])
+    axes = np.linalg.svd(first, full_matrices=False)[2][: left[1]].T
+    states = first @ axes
+    onward, vectors = np.linalg.eig(np.linalg.lstsq(states, second @ axes, rcond=None)[0].T)
     each = np.linalg.lstsq(vectors, states.T.astype(np.complex128), rcond=None)[0]
-    power = np.square(np.abs(each)).mean(axis=1) * np.square(np.linalg.norm(vectors, axis=0))
-    return bool((power * np.square(np.abs(onward))).sum() < FALLS * power.sum())
+    powers = np.square(np.abs(each)).mean(axis=1) * np.square(np.linalg.norm(vectors, axis=0))
+    return bool((powers * np.abs(onward) ** 6).sum() < FALLS * powers.sum())
 
 
 def _independent(outputs: FloatArray) -> FloatArray:
@@ -351,18 +358,17 @@ def _independent(outputs: FloatArray) -> FloatArray:
     return np.asarray(values / np.sqrt(variance(values, axis=0)), dtype=np.float64)
 
 
-def _foretold(windows: FloatArray, wanted: FloatArray) -> tuple[float, int]:
-    """Least mean square that a linear map of windows leaves of held-out rows, and of how many states that is."""
-    half = len(windows) // 2
-    n_states = np.arange(2, min(MOST_STATES, windows.shape[1], half // 2) + 1, 2)
+def _foretold(parts: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[float, int]:
+    """Least mean square that the linear map of either part leaves of the other, and of how many states that is."""
+    n_states = np.arange(2, min(MOST_STATES, parts[0][0].shape[1], len(parts[0][0]) // 2) + 1, 2)
     left = np.zeros(n_states.size)
-    for own, other in ((slice(half), slice(half, None)), (slice(half, None), slice(half))):
-        spans, sizes, axes = np.linalg.svd(windows[own], full_matrices=False)
-        states = windows[other] @ axes.T / np.maximum(sizes, np.finfo(float).eps * sizes[0])
-        answers = spans.T @ wanted[own]
-        left += [np.square(wanted[other] - states[:, :n] @ answers[:n]).sum() for n in n_states.tolist()]
+    for (own, answer), (other, wanted) in (parts, parts[::-1]):
+        spans, sizes, axes = np.linalg.svd(own, full_matrices=False)
+        states = other @ axes.T / np.maximum(sizes, np.finfo(float).eps * sizes[0])
+        answers = spans.T @ answer
+        left += [np.square(wanted - states[:, :n] @ answers[:n]).sum() for n in n_states.tolist()]
     best = int(left.argmin())
-    return float(left[best]) / wanted.size, int(n_states[best])
+    return float(left[best]) / (2 * parts[0][1].size), int(n_states[best])
 
 
 def _fall(outputs: FloatArray) -> tuple[float, bool]:

@@ -89,7 +89,7 @@ def released(records: Sequence[Record], starts: Sequence[int] = ()) -> tuple[Rec
     """
     if starts:
         records = [record.samples(start) for record, start in zip(records, starts, strict=True)]
-    each = [np.nan_to_num(np.nanvar(record.outputs, axis=0)) for record in records]
+    each = [variance(record.outputs, axis=0) for record in records]
     whole = np.maximum(np.sum(each, axis=0), np.finfo(float).tiny)
     order = np.argsort([-float((own / whole).sum()) for own in each], kind="stable")
     strongest = sorted(order[:4].tolist())  # the others keep a state of their own to start from
@@ -101,7 +101,8 @@ def released(records: Sequence[Record], starts: Sequence[int] = ()) -> tuple[Rec
         else:
             inputs = np.zeros((record.n_samples + 1, len(names)))
             inputs[0, strongest.index(number)] = 1.0
-            outputs = np.vstack([_level(record, 0), record.outputs])
+            held = np.isfinite(record.outputs).any(axis=0)
+            outputs = np.vstack([np.where(held, _level(record, 0), np.nan), record.outputs])
         made.append(replace(record, inputs=inputs, outputs=outputs, input_names=names, input_units=("",) * len(names)))
     return tuple(made)
 

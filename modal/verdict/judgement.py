@@ -468,7 +468,10 @@ def scattered(
             again[i] = doubted(one, f"second pole of the mode at {hertz(other.frequency)} Hz, which is not linear")
     for i in np.flatnonzero(off & beneath).tolist():
         if again[i].verdict == "system":
-            again[i] = doubted(again[i], "answers less than what is not linear in a stronger resonance does there")
+            again[i] = doubted(
+                again[i],
+                "answers less than what does not follow the inputs beside a stronger resonance: may be part of it",
+            )
     return replace(modes, modes=tuple(again)), words
 
 

@@ -23,12 +23,17 @@ def record_of(family, seed):
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("driven", [True, False])
-def test_an_output_that_no_record_holds_is_left_out(driven):
+@pytest.mark.parametrize("kind", ["driven", "ambient", "decay"])
+def test_an_output_that_no_record_holds_is_left_out(kind):
     """It was taken for a set-up that had not measured it: a node, certain to infinity, or an error about set-ups."""
     made = FAMILIES["driven"](5)
+    if kind == "decay":
+        time = made.dt * np.arange(1000)
+        rung = np.exp(-0.4 * time) * np.cos(40 * time) + 0.01 * np.random.default_rng(0).standard_normal(1000)
+        made = replace(made, outputs=np.column_stack([rung, 0.3 * rung]))
     outputs = np.column_stack([made.outputs, np.full(len(made.outputs), np.nan)])
-    result = identify(Record(made.inputs if driven else [], outputs, made.dt))
+    result = identify(Record(made.inputs if kind == "driven" else [], outputs, made.dt))
+    assert result.record_kind == kind
     assert any("holds no number: it was not recorded; left out" in words for words in result.warnings)
     assert result.modes.system
     assert all(mode.shape.size == made.outputs.shape[1] for mode in result.modes)

@@ -158,6 +158,23 @@ def test_what_goes_on_or_is_driven_does_not_ring_on():
         assert not rings_on(np.column_stack(modes))
 
 
+def test_a_light_mode_that_is_driven_is_forgotten():
+    """One complex ratio took up what drove it between halves: seven of 1500 such seeds, wrong modes certain in others."""
+    for seed in (200, 549, 603, 964, 1021, 1212, 1498):
+        rng = np.random.default_rng(seed)
+        n_rows, n_outputs = int(rng.choice([200, 400, 1000])), int(rng.integers(1, 5))
+        pole = np.exp((-(10.0 ** rng.uniform(-4.0, -1.5)) + 1j) * 2 * np.pi * 10.0 ** rng.uniform(-2.3, -0.6))
+        motion = lfilter([1.0], [1.0, -pole], rng.standard_normal(30_000) + 0j).real[-n_rows:]
+        outputs = np.outer(motion / motion.std(), rng.standard_normal(n_outputs))
+        assert not rings_on(outputs + 10.0 ** rng.uniform(-4, -1) * rng.standard_normal(outputs.shape))
+
+
+def test_a_record_too_short_to_ask_does_not_gainsay_another():
+    long, short = brief_ringing(6.0), brief_ringing(0.3)
+    assert find_kind([long]).kind == find_kind([long, short]).kind == "decay"
+    assert find_kind([short]).kind == "ambient"
+
+
 def test_what_the_caller_says():
     blow, free = made("transient", 500), made("decay", 500)
     assert find_kind(blow, "driven").choice.reason == "given as an argument"
