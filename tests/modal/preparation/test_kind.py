@@ -159,7 +159,7 @@ def test_what_goes_on_or_is_driven_does_not_ring_on():
 
 
 def test_a_light_mode_that_is_driven_is_forgotten():
-    """One complex ratio took up what drove it between halves: seven of 1500 such seeds, wrong modes certain in others."""
+    """One complex ratio took up what drove it between halves: seven of 1500 such seeds; in others modes were wrong."""
     for seed in (200, 549, 603, 964, 1021, 1212, 1498):
         rng = np.random.default_rng(seed)
         n_rows, n_outputs = int(rng.choice([200, 400, 1000])), int(rng.integers(1, 5))
