@@ -24,7 +24,7 @@ from modal.identification.pipeline import identify
 from modal.identification.result import Identification
 from modal.identification.words import trust_of
 from modal.modes.mode import numbered
-from modal.report.folder import fill_folder
+from modal.report.folder import write_folder
 from modal.report.machine import csv_text
 from modal.report.writing import keep_result
 from modal.sections.provenance import installed_version
@@ -359,7 +359,7 @@ def _commit(
         (made / OUTCOME).write_text(json.dumps({**asdict(outcome), "modes": modes}) + "\n", encoding="utf-8")
 
     try:
-        fill_folder(place, [OUTCOME], write_all, existing="replace")
+        write_folder(place, [OUTCOME], write_all, existing="replace", swept=False)
     except InvalidDataError as error:
         kept = kept_outcome(place)  # another try was quicker
         if kept is not None:

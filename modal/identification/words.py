@@ -34,7 +34,7 @@ from modal.wording.text import (
     GOOD_FIT,
     LEAST_FIT,
     NINETY_FIVE,
-    NOT_LINEAR,
+    NONLINEAR,
     counted,
     hertz,
     percent,
@@ -311,7 +311,7 @@ def _fit_words(record: Record, fit: Fit, missed: float, *, has_modes: bool, powe
             words.append(f"The model does not reproduce these outputs (fit to data kept aside): {', '.join(poor)}.")
     if powers.told:
         words.append(
-            f"{NOT_LINEAR}: squares and cubes of the motion make {percent(powers.share)} of the prediction's errors, "
+            f"{NONLINEAR}: squares and cubes of the motion make {percent(powers.share)} of the prediction's errors, "
             "and as much by chance in less than one record of 10 000. Modes and damping are an average at this level "
             "of motion, and another level gives others; `modal-report gap` names the effect."
         )

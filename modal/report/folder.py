@@ -64,6 +64,7 @@ def write_folder(
     *,
     existing: Existing,
     gone: Sequence[str] = (),
+    swept: bool = True,
 ) -> None:
     """Let `write` fill a folder; it appears as `target` once it is complete, and nothing is left behind otherwise.
 
@@ -76,23 +77,13 @@ def write_folder(
         write: writes them into the folder that it is given.
         existing: "refuse" to touch a folder that holds one of the files, or "replace" those files.
         gone: names of files that go with those that are replaced, for the new ones do not go with them.
+        swept: False where the caller sweeps: beside one of many folders looking each time would cost their square.
 
     Raises:
         InvalidDataError: a file of that name exists already, or the folder cannot be written.
     """
-    sweep(target.absolute().parent)
-    fill_folder(target, names, write, existing=existing, gone=gone)
-
-
-def fill_folder(
-    target: Path,
-    names: Iterable[str],
-    write: Callable[[Path], None],
-    *,
-    existing: Existing,
-    gone: Sequence[str] = (),
-) -> None:
-    """The same where the caller sweeps: one of many folders, beside which looking each time would cost their square."""
+    if swept:
+        sweep(target.absolute().parent)
     names = list(names)
     refuse_names(target, names, existing)
     made = _make_parents(target)

@@ -90,12 +90,14 @@ def powers_of_motion(records: Sequence[Record], predicted: Sequence[Record]) -> 
         return Powers()
     asked = spread_stretches(both, MOST_ROWS)
     known, errors = (np.vstack([getattr(one, name) for one in asked]) for name in ("inputs", "outputs"))
-    middle, size = np.nanmean(known, axis=0), np.maximum(np.nanstd(known, axis=0), TINY)
-    scaled, left = (known - middle) / size, errors / np.maximum(np.sqrt(np.nanmean(np.square(errors), axis=0)), TINY)
+    whole = np.isfinite(np.hstack([known, errors])).all(axis=1)
+    if not whole.any():
+        return Powers()
+    scaled = (known - known[whole].mean(axis=0)) / np.maximum(known[whole].std(axis=0), TINY)
+    left = errors / np.maximum(np.sqrt(np.square(errors[whole]).mean(axis=0)), TINY)
     of_known, of_motion, of_errors = (
-        _principal(scaled, MOST_KNOWN),
-        _principal(scaled[:, n_inputs:], MOST_MOTIONS),
-        _principal(left, MOST_KNOWN),
+        _principal(values[whole], most)
+        for values, most in ((scaled, MOST_KNOWN), (scaled[:, n_inputs:], MOST_MOTIONS), (left, MOST_KNOWN))
     )
     ends = np.cumsum([one.n_samples for one in asked])[:-1]
     parts = [
@@ -118,14 +120,14 @@ class _Part:
 
 def _principal(values: FloatArray, most: int) -> FloatArray:
     """(n, at most `most`) sums of columns that move most, each of size 1."""
-    whole = values[np.isfinite(values).all(axis=1)]
-    axes = np.linalg.eigh(whole.T @ whole)[1][:, -most:]
-    return np.asarray(axes / np.maximum((whole @ axes).std(axis=0), TINY), dtype=np.float64)
+    axes = np.linalg.eigh(values.T @ values)[1][:, -most:]
+    return np.asarray(axes / np.maximum((values @ axes).std(axis=0), TINY), dtype=np.float64)
 
 
 def _asked(parts: Sequence[_Part], *, levelled: bool) -> Powers:
     """What is made of the errors by powers of motions and their increments as they are or over their levels."""
-    paces = np.sqrt(np.nanmean(np.vstack([np.square(np.diff(part.motion, axis=0)) for part in parts]), axis=0))
+    steps = np.vstack([np.diff(part.motion, axis=0) for part in parts])
+    paces = np.sqrt(np.nansum(np.square(steps), axis=0) / max(1, np.isfinite(steps[:, 0]).sum()))
     linear, powers = [], []
     for part in parts:
         step = np.diff(part.motion, axis=0, prepend=part.motion[:1]) / np.maximum(paces, TINY)
@@ -139,8 +141,7 @@ def _asked(parts: Sequence[_Part], *, levelled: bool) -> Powers:
         np.hstack([np.vstack(powers), np.vstack(linear)]),
         np.vstack([part.errors[PAST:] for part in parts]),
     )
-    n, known = powers[0].shape[1], np.isfinite(causes).all(axis=1)
-    there = known & np.isfinite(errors).all(axis=1)
+    n, there = powers[0].shape[1], np.isfinite(np.hstack([causes, errors])).all(axis=1)
     n_blocks = min(BLOCKS, int(there.sum()) // BLOCK)
     if n_blocks < 2 * n or there.sum() < 4 * causes.shape[1]:
         return Powers()
@@ -153,8 +154,8 @@ def _asked(parts: Sequence[_Part], *, levelled: bool) -> Powers:
     own = left[:, :n][:, told[:n]]
     chances = [_chance(own * left[:, [n + o]], n_blocks) for o in np.flatnonzero(told[n:])]
     made = own @ np.linalg.lstsq(own, left[:, n:], rcond=None)[0]
-    powers = np.maximum(np.square(errors[there]).sum(axis=0), TINY)
-    share = (np.square(made).sum(axis=0) - own.shape[1] * np.square(left[:, n:] - made).mean(axis=0)) / powers
+    by_chance = own.shape[1] * np.square(left[:, n:] - made).mean(axis=0)
+    share = (np.square(made).sum(axis=0) - by_chance) / np.maximum(np.square(errors[there]).sum(axis=0), TINY)
     return Powers(chance=min(1.0, errors.shape[1] * min(chances, default=1.0)), share=max(0.0, float(share.max())))
 
 

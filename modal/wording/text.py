@@ -23,7 +23,7 @@ MOST_NAMED = 3
 LEAST_FIT = 0.5
 """Call no mode certain where the cross-validated fit is lower: the model then explains less than it leaves."""
 
-NOT_LINEAR = "Something is not linear"
+NONLINEAR = "Something is not linear"
 """Begin the warning so where errors follow powers of the motion, for the sentences that depend on it."""
 
 GOOD_FIT = 0.8

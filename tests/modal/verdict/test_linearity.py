@@ -142,6 +142,16 @@ def test_short_records_tell_too():
     assert chance_of_powers(linear, [Record(u, u, DT) for u in force]) > 1e-3
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("never", [True, False])
+def test_outputs_that_share_no_row_tell_nothing(never):
+    force, noise = np.random.default_rng(0).standard_normal((2, 3000, 1))
+    outputs = np.hstack([force, force]) + noise
+    outputs[::2, 0] = np.nan
+    outputs[slice(None) if never else slice(1, None, 2), 1] = np.nan
+    assert chance_of_powers([Record(force, outputs, DT)], [Record(force, np.hstack([force, force]), DT)]) == 1.0
+
+
 def test_one_short_record_is_asked():
     """Of fewer than 800 rows nothing was told."""
     chances = []
