@@ -57,7 +57,7 @@ from modal.preparation.kind import GivenKind, KindFound, find_kind, given_kind
 from modal.preparation.quick_model import left_alone_and_together
 from modal.preparation.rest import RELEASED, released
 from modal.preparation.steps import Preparation, prepare
-from modal.verdict.constancy import changing_modes, unsteady_drive
+from modal.verdict.constancy import unsteady_drive, with_changes
 from modal.verdict.excitation import between_lines, beyond_inputs, by_chance, driven_gain, ringing, standing_out
 from modal.verdict.filled import filled_words, told_where_measured
 from modal.verdict.judgement import judge
@@ -351,8 +351,7 @@ def _identified(
     stands beside it.
     """
     prepared, is_driven = preparation.records, kind.kind == "driven"
-    asked = prepared if white is None else white.records
-    searched = found if white is None else white.found
+    asked, searched = (prepared, found) if white is None else (white.records, white.found)
     n_rest = preparation.n_rest
     observer, decomposition, model = final.observer, final.decomposition, final.realisation
     runs = model_runs(model, prepared)
@@ -432,7 +431,9 @@ def _identified(
             is_decay=kind.kind == "decay",
         )
     modes = ringing_down.modes
-    varying = changing_modes(modes, asked, left_there, output_scale=reruns.output_scale) if is_driven else ()
+    modes, uncertainty, varying = with_changes(
+        modes, uncertainty, asked if is_driven else (), left_there, output_scale=reruns.output_scale
+    )
     powers = powers_of_motion(runs.records, runs.predicted) if final.feedback == "none" else Powers()
     tell("checking residuals", 0.9)
     fitted_to = runs.records

@@ -14,7 +14,7 @@ from modal.modes.mode import Mode
 from modal.verdict.judgement import DOUBTED, FOUND_AGAIN, LEAST_PART, SYSTEM_FROM
 from modal.verdict.probability import SPREAD
 from modal.verdict.ring_down import RINGS
-from modal.wording.text import GOOD_FIT, LEAST_FIT, MOST_NAMED, NONLINEAR, counted, hertz, listed, shorten
+from modal.wording.text import GOOD_FIT, LEAST_FIT, MOST_NAMED, NONLINEAR, WITH_LEVEL, counted, hertz, listed, shorten
 from okid.errors import visible
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def _for_the_damping(result: Identification) -> tuple[str, ...]:
     times = math.ceil((max(spreads) / SPREAD) ** 2)
     which = listed([hertz(mode.frequency) for mode in unresolved[:MOST_NAMED]])
     more = " and others" if len(unresolved) > MOST_NAMED else ""
-    if any(words.startswith(NONLINEAR) for words in result.warnings):
+    if any(words.startswith(NONLINEAR) or WITH_LEVEL in words for words in result.warnings):
         return (f"For the damping at {which} Hz{more} keep to one level of motion: each has its own.",)
     if times > MOST_TIMES:
         return (f"For the damping at {which} Hz{more} drive harder there or measure it better, not only longer.",)

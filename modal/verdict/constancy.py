@@ -1,14 +1,22 @@
 """Is a mode the same early and late, and at low and high level? Dry friction and a stiffness that drifts say no.
 
-A record is cut into blocks. In each, what the model leaves is compared with what a small change of one pole would do:
-with T the derivative of the mode's answer to the inputs by decay rate and angular frequency, and e what is left,
+What the model leaves, e, is compared with what a small change of one pole would do: with T the derivatives of the
+mode's answer to the inputs by decay rate and angular frequency, and by the size of that answer, which noise in the
+inputs and their gains change,
 
     delta = (T'T)^-1 T'e
 
-is the change of that pole there (one Gauss-Newton step). A line through the changes of all blocks, over time or over
-the logarithm of the mode's level, is beyond chance when its slope exceeds what the scatter of the blocks about it
-explains, whatever the colour of the noise. Few blocks may hold a mode (a sweep passes it once): how sure their scatter
-is counts what each of them weighs.
+is the change there (one Gauss-Newton step). *In time* a line goes through the changes of blocks of rows. *With the
+level* the rows in which the mode moves much have a change of their own, those in which it moves little another; either
+hold half of its energy, and so about as much of what is known of its pole. The ends differ beyond chance where the
+scatter of the blocks does not explain it, whatever the colour of the noise. Few blocks may hold a mode (a sweep passes
+it once): how sure their scatter is counts what each of them weighs. A force that was not measured makes errors that
+last as long as the mode rings: of blocks of L seconds, and products of T and e that are forgotten as exp(-t / m), the
+sum has so many times the variance that independent ones have (an Ornstein-Uhlenbeck process, integrated):
+
+    (L / m) / (L / m - 1 + exp(-L / m)),        m = 1 / (2 decay rate)
+
+Where the ends differ notably, no interval about their mean is one of the pole: its deviation holds both.
 
 What rings down and is not quite linear shows products of its modes, x_i x_j and x_i x_j x_k or their conjugates: these
 ring down as well, with the sums of the poles for poles (Rugh, Nonlinear System Theory, 1981, section 3.2). One record
@@ -19,7 +27,7 @@ References:
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -27,28 +35,33 @@ import scipy
 
 from era.state_recursion import PoleRecursion
 from modal.modes.modal_form import discrete_poles
-from modal.modes.mode import ModalModel, Mode
-from modal.wording.text import hertz, percent
+from modal.modes.mode import ModalModel, Mode, Uncertainty
+from modal.verdict.probability import SPREAD
+from modal.wording.text import WITH_LEVEL, hertz, percent
 from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
 
-N_BLOCKS = 20
-"""Cut all records together into about so many blocks: enough to tell their own scatter."""
+N_BLOCKS, LEAST_BLOCKS = 60, 8
+"""Cut all records together into at most so many blocks, and ask nothing of fewer: they do not tell their scatter."""
+LEAST_DECAYS = 1.0
+"""Let a mode decay so often within a block: what is left of a shorter one's memory is more than can be allowed for."""
+N_TOLD = 3
+"""Tell so many numbers at either end: changes of decay rate, of angular frequency, and of the answer's size."""
 CHANCE = 0.01
-"""Believe in a slope where chance makes as steep a one in this share of records, however many slopes each has."""
+"""Believe in a change where chance makes as large a one in this share of records, however many are asked."""
 NOTABLE = 0.1
 """Speak of a change of the pole by this share of its decay rate: the spread at which damping is not to be quoted."""
-LEAST_DECAYS = 1.0
-"""Ask that a mode decays so often within a block: else a block remembers the one before."""
+N_PARTS = 10
+"""Compare so many parts of a record without inputs,"""
 UNSTEADY = 3.0
-"""Say that what drives a record without inputs is not steady where a tenth of it has so many times the rms of another:
-wind and traffic stay within it, and chance does over a hundred samples."""
+"""and say that what drives it is not steady where one has so many times the rms of another: wind and traffic stay
+within it, and chance does over a hundred samples."""
 
 LEAST_LEFT = 1e-6
 """Take what a line leaves of a block for nothing below this share: the block alone has drawn the line."""
 IN_TIME = "during the record"
 QUARTILES = (0.25, 0.75)
-"""Compare the mode where time or level are at these quantiles of the blocks."""
+"""Compare the mode at these shares of the time."""
 
 PARENTS = 8
 """Look at sums of so many of the strongest modes: products of strong ones are what stands out."""
@@ -97,53 +110,83 @@ def drifting_modes(
     return tuple(look.mode for look in looks if look.notable(len(looks)).any())
 
 
-def changing_modes(
-    model: ModalModel, records: Sequence[Record], left: Sequence[FloatArray], *, output_scale: FloatArray
-) -> tuple[str, ...]:
-    """A sentence for each mode of the system that changes in time or with its level; nothing without inputs.
+def with_changes(
+    model: ModalModel,
+    known: Uncertainty,
+    records: Sequence[Record],
+    left: Sequence[FloatArray],
+    *,
+    output_scale: FloatArray,
+) -> tuple[ModalModel, Uncertainty, tuple[str, ...]]:
+    """Modes of the system that change in time or with their level, with deviations that hold both ends, and in words.
 
     Args:
         model: judged modes of the model that ran.
-        records: that it ran through; missing inputs count as zero.
+        known: their deviations.
+        records: that it ran through, missing inputs count as zero; of none, and without inputs, nothing is told.
         left: (n_samples, n_outputs) a record, NaN where an output is missing.
         output_scale: (n_outputs,) sizes of the outputs.
     """
-    if not records[0].n_inputs:
-        return ()
-    looks = _looks(model.system, records, left, output_scale)
-    return tuple(words for look in looks for words in _sentence(look, look.notable(len(looks))))
+    looks = _looks(model.system, records, left, output_scale) if records and records[0].n_inputs else []
+    told = [(look, look.notable(len(looks))) for look in looks if look.notable(len(looks)).any()]
+    if not told:
+        return model, known, ()
+    modes = list(model.modes)
+    for look, notable in told:
+        (i,) = (k for k, mode in enumerate(model.modes) if mode is look.mode)
+        modes[i] = _widened(modes[i], look, notable)
+    known = replace(
+        known,
+        frequency_std=np.array([mode.frequency_std for mode in modes]),
+        damping_ratio_std=np.array([mode.damping_ratio_std for mode in modes]),
+    )
+    return replace(model, modes=tuple(modes)), known, _sentences(told)
+
+
+def _widened(mode: Mode, look: _Look, notable: BoolArray) -> Mode:
+    """The mode with half of the notable differences in its deviations, and with both ends in its reason."""
+    of_damping, of_frequency = 0.5 * np.abs(np.diff(look.ends, axis=0)[0]) * notable
+    spread = float(np.hypot(mode.damping_ratio_std, of_damping / abs(mode.pole)))
+    return replace(
+        mode,
+        frequency_std=float(np.hypot(mode.frequency_std, of_frequency / (2.0 * np.pi))),
+        damping_ratio_std=spread,
+        damping_resolved=mode.damping_resolved and not (notable[0] and spread > SPREAD * mode.damping_ratio),
+        reason=f"{mode.reason}; it changes {look.how}: {'; '.join(_in_words(look, notable))}",
+    )
 
 
 def _looks(
     modes: tuple[Mode, ...], records: Sequence[Record], left: Sequence[FloatArray], output_scale: FloatArray
 ) -> list[_Look]:
     poles, _ = discrete_poles(modes, records[0].dt)
-    length = max(1, sum(record.n_samples for record in records) // N_BLOCKS)
+    shortest = max(1, sum(record.n_samples for record in records) // N_BLOCKS)
     looks = []
     for mode, pole in zip(modes, poles, strict=True):
-        decays = -mode.pole.real * length * records[0].dt
-        if mode.kind == "oscillatory" and decays >= LEAST_DECAYS:
-            blocks = _blocks(mode, complex(pole), (records, left), output_scale, length)
-            if len(blocks.level) < 8:  # too few for a trend
-                continue
-            level = np.log(np.maximum(blocks.level, np.finfo(float).tiny))
-            for over, how, groups in (
-                (np.arange(level.size, dtype=np.float64), IN_TIME, ("early", "late")),
-                (level, "with the level of motion", ("where it is low", "where it is high")),
-            ):
-                if np.diff(np.quantile(over, QUARTILES))[0] > 0.0:  # else it is at rest in most blocks
-                    ends, t, chance = _ends(blocks, over)
+        if mode.kind == "oscillatory" and mode.pole.real < 0.0:
+            length = max(shortest, int(np.ceil(LEAST_DECAYS / (-mode.pole.real * records[0].dt))))
+            memories = -2.0 * mode.pole.real * length * records[0].dt
+            lasting = memories / (memories - 1.0 + np.exp(-memories))
+            for how, groups, blocks in _blocks(mode, complex(pole), (records, left), output_scale, length):
+                if len(blocks.scores) >= LEAST_BLOCKS:
+                    ends, t, chance = _ends(blocks, lasting)
                     looks.append(_Look(mode=mode, how=how, groups=groups, ends=ends, t=t, chance=chance))
     return looks
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Blocks:
-    """(n_blocks, 2) T'e, (n_blocks, 2, 2) T'T and (n_blocks,) energy of the mode in each block."""
+    """What tells the changes of a mode at two ends, each by `N_TOLD` numbers, in blocks of rows.
+
+    Attributes:
+        scores: (n_blocks, m) T'e by m columns of T.
+        products: (n_blocks, m, m) T'T.
+        basis: (n_blocks, m, 2 N_TOLD) how much of each number each column takes.
+    """
 
     scores: FloatArray
     products: FloatArray
-    level: FloatArray
+    basis: FloatArray
 
 
 def _blocks(
@@ -152,90 +195,119 @@ def _blocks(
     runs: tuple[Sequence[Record], Sequence[FloatArray]],
     output_scale: FloatArray,
     length: int,
-) -> _Blocks:
-    scores, products, level = [], [], []
+) -> list[tuple[str, tuple[str, str], _Blocks]]:
+    """Over what, its ends, and the blocks that tell them."""
     dt = runs[0][0].dt
-    for record, errors in zip(*runs, strict=True):
-        recursion = PoleRecursion.of(np.array([pole]), record.n_samples)
-        drive = np.nan_to_num(record.inputs) @ mode.participation
-        states, _ = recursion.run(drive[np.newaxis], np.zeros(1, dtype=np.complex128))
-        slopes, _ = recursion.run(states, np.zeros(1, dtype=np.complex128))
-        shape = 2.0 * mode.shape / output_scale
-        slope = (slopes[0] * pole * dt)[:, np.newaxis] * shape
-        there = np.isfinite(errors)
-        rest = np.where(there, errors / output_scale, 0.0)
-        tangents = np.stack([np.where(there, slope.real, 0.0), np.where(there, -slope.imag, 0.0)])
-        n_blocks = record.n_samples // length
-        for k in range(n_blocks):
+    recursions = [PoleRecursion.of(np.array([pole]), record.n_samples) for record in runs[0]]
+    rest = np.zeros(1, dtype=np.complex128)
+    moved = [
+        recursion.run((np.nan_to_num(record.inputs) @ mode.participation)[np.newaxis], rest)[0]
+        for recursion, record in zip(recursions, runs[0], strict=True)
+    ]
+    energy = np.sort(np.abs(np.concatenate([states[0] for states in moved])) ** 2)
+    middle = energy[np.searchsorted(np.cumsum(energy), 0.5 * energy.sum())]
+    scores, products = [], []
+    for recursion, states, errors in zip(recursions, moved, runs[1], strict=True):
+        there, shape = np.isfinite(errors), 2.0 * mode.shape / output_scale
+        tangents = []
+        for part in (states, np.where(np.abs(states) ** 2 > middle, states, 0.0)):
+            slope, size = recursion.run(part, rest)[0][0] * pole * dt, part[0] / -mode.pole.real
+            shaped, size = slope[:, np.newaxis] * shape, (size[:, np.newaxis] * shape).real
+            tangents += [np.where(there, one, 0.0) for one in (shaped.real, -shaped.imag, size)]
+        columns, remainder = np.stack(tangents), np.where(there, errors / output_scale, 0.0)
+        for k in range(len(errors) // length):
             rows = slice(k * length, (k + 1) * length)
-            part = tangents[:, rows].reshape(2, -1)
-            scores.append(part @ rest[rows].ravel())
+            part = columns[:, rows].reshape(len(columns), -1)
+            scores.append(part @ remainder[rows].ravel())
             products.append(part @ part.T)
-            level.append(float(np.mean(np.abs(states[0, rows]) ** 2)))
-    return _Blocks(scores=np.array(scores), products=np.array(products), level=np.array(level))
+    by, each = np.array(scores).reshape(-1, 2 * N_TOLD), np.array(products).reshape(-1, 2 * N_TOLD, 2 * N_TOLD)
+    low, high = np.quantile(np.arange(len(by)), QUARTILES) if len(by) else (0.0, 1.0)
+    late = ((np.arange(len(by)) - low) / max(high - low, 1.0))[:, np.newaxis, np.newaxis]
+    in_time = np.concatenate([(1.0 - late) * np.eye(N_TOLD), late * np.eye(N_TOLD)], axis=2)
+    of_halves = np.kron(
+        np.array([[1.0, 0.0], [-1.0, 1.0]]), np.eye(N_TOLD)
+    )  # all rows by the low, more in the high ones
+    return [
+        (IN_TIME, ("early", "late"), _Blocks(scores=by[:, :N_TOLD], products=each[:, :N_TOLD, :N_TOLD], basis=in_time)),
+        (
+            WITH_LEVEL,
+            ("where it is low", "where it is high"),
+            _Blocks(scores=by, products=each, basis=np.broadcast_to(of_halves, each.shape)),
+        ),
+    ]
 
 
-def _ends(blocks: _Blocks, over: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Changes at the lower and upper quartile of `over`, by weighted least squares, and how sure their slope is.
+def _ends(blocks: _Blocks, lasting: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Both changes by weighted least squares, and how sure it is that they differ, with `lasting` times the variance.
 
-    With x = P^(-1/2) s of the scores s and products P of a block, the line leaves e, of covariance (I - H) per unit of
-    noise; each block's own e is divided by (I - H)^(1/2), so that one that draws the line to itself is no surer for it,
+    With x = P^(-1/2) s of the scores s and products P of a block, the fit leaves e, of covariance (I - H) per unit of
+    noise; each block's own e is divided by (I - H)^(1/2), so that one that draws the fit to itself is no surer for it,
     and the freedom of the sum of their squares is that of its first two moments. A sweep passes a mode in two blocks of
-    twenty: through these there is a line, and no freedom.
+    sixty: through these there is a line, and no freedom.
 
     Returns:
-        (2, 2) quartile by decay rate and angular frequency; (2,) t of the slopes; (2,) their chance.
+        (2, 2) end by decay rate and angular frequency; (2,) t of their difference; (2,) its chance.
     """
-    low, high = np.quantile(over, QUARTILES)
-    x = (over - low) / (high - low)  # 0 and 1 there
+    m = blocks.scores.shape[1]
     values, vectors = np.linalg.eigh(blocks.products)
     size = np.sqrt(np.maximum(values, 0.0))
     told = size > np.sqrt(np.finfo(float).eps) * size.max()  # a mode at rest tells nothing
-    basis = np.stack([np.ones_like(x), x], axis=1)
-    rows = np.einsum("bi,ba,bji->biaj", size * told, basis, vectors).reshape(-1, 4)
+    rows = np.einsum("bi,bji,bjp->bip", size * told, vectors, blocks.basis).reshape(-1, 2 * N_TOLD)
     seen = np.einsum("bi,bji,bj->bi", np.where(told, 1.0 / np.where(told, size, 1.0), 0.0), vectors, blocks.scores)
     inverse = np.linalg.pinv(rows.T @ rows, hermitian=True)
     found = inverse @ rows.T @ seen.ravel()
     kept = np.eye(len(rows)) - rows @ inverse @ rows.T
-    left = (kept @ seen.ravel()).reshape(-1, 2)
-    own, directions = np.linalg.eigh(np.stack([kept[k : k + 2, k : k + 2] for k in range(0, len(rows), 2)]))
+    left = (kept @ seen.ravel()).reshape(-1, m)
+    own, directions = np.linalg.eigh(np.stack([kept[k : k + m, k : k + m] for k in range(0, len(rows), m)]))
     t, chance = np.zeros(2), np.ones(2)
     for i in range(2):
-        pull = (rows @ inverse[:, 2 + i]).reshape(-1, 2)
+        pull = (rows @ (inverse[:, N_TOLD + i] - inverse[:, i])).reshape(-1, m)
         along = np.einsum("bij,bi->bj", directions, pull)
         if (np.abs(along[own < LEAST_LEFT]) > LEAST_LEFT * np.abs(along).max()).any():
             continue
         fair = np.einsum("bij,bj->bi", directions, along / np.sqrt(np.maximum(own, LEAST_LEFT)))
         each = np.zeros((len(rows), len(fair)))
         for k, weights in enumerate(fair):
-            each[:, k] = kept[:, 2 * k : 2 * k + 2] @ weights
-        variance = float(np.sum(np.einsum("bi,bi->b", fair, left) ** 2))
+            each[:, k] = kept[:, m * k : m * (k + 1)] @ weights
+        variance = lasting * float(np.sum(np.einsum("bi,bi->b", fair, left) ** 2))
         moments = each.T @ each
         freedom = np.trace(moments) ** 2 / max(float(np.sum(moments**2)), np.finfo(float).tiny)
-        t[i] = found[2 + i] / np.sqrt(max(variance, np.finfo(float).tiny))
+        t[i] = (found[N_TOLD + i] - found[i]) / np.sqrt(max(variance, np.finfo(float).tiny))
         chance[i] = 2.0 * scipy.special.stdtr(freedom, -abs(t[i]))
-    return np.stack([found[:2], found[:2] + found[2:]]), t, chance
+    return found.reshape(2, N_TOLD)[:, :2], t, chance
 
 
-def _sentence(look: _Look, notable: BoolArray) -> list[str]:
-    mode, t = look.mode, look.t
-    decay, angular = -mode.pole.real, abs(mode.pole)
-    shown = []
-    if notable[1]:
-        values = [f"{hertz(mode.frequency + delta / (2 * np.pi))} Hz {group}" for delta, group in
-                  zip(look.ends[:, 1], look.groups, strict=True)]  # fmt: skip
-        shown.append(f"{values[0]}, {values[1]} ({abs(t[1]):.1f} standard deviations apart)")
-    if notable[0]:
-        values = [f"{percent(max(0.0, (decay - delta) / angular))} damping {group}" for delta, group in
-                  zip(look.ends[:, 0], look.groups, strict=True)]  # fmt: skip
-        shown.append(f"{values[0]}, {values[1]} ({abs(t[0]):.1f} standard deviations apart)")
-    if not shown:
-        return []
-    sentence = (
-        f"The mode at {hertz(mode.frequency)} Hz changes {look.how}: about {'; '.join(shown)}. One linear model is an "
-        "average of these; `modal-report gap` tells friction, gaps and changing stiffness apart."
+def _in_words(look: _Look, notable: BoolArray) -> list[str]:
+    """What is notable of the ends."""
+    decay, angular = -look.mode.pole.real, abs(look.mode.pole)
+    values = (
+        [f"{percent(max(0.0, (decay - delta) / angular))} damping" for delta in look.ends[:, 0]],
+        [f"{hertz(look.mode.frequency + delta / (2 * np.pi))} Hz" for delta in look.ends[:, 1]],
     )
-    return [sentence]
+    return [
+        ", ".join(f"{value} {group}" for value, group in zip(values[i], look.groups, strict=True))
+        for i in (1, 0)
+        if notable[i]
+    ]
+
+
+def _sentences(told: Sequence[tuple[_Look, BoolArray]]) -> tuple[str, ...]:
+    """One for time and one for the level, with every mode."""
+    sentences = []
+    for how in dict.fromkeys(look.how for look, _ in told):
+        modes = [
+            (f"{hertz(look.mode.frequency)} Hz", "; ".join(_in_words(look, notable)), np.abs(look.t[notable]).max())
+            for look, notable in told
+            if look.how == how
+        ]
+        (first, ends, t), *others = modes
+        also = "".join(f"; that at {at}: {words} ({far:.1f})" for at, words, far in others)
+        sentences.append(
+            f"The mode at {first} changes {how}: about {ends} ({t:.1f} standard deviations apart){also}. One linear "
+            "model is an average of these, and the interval holds both ends; `modal-report gap` tells friction, gaps "
+            "and changing stiffness apart."
+        )
+    return tuple(sentences)
 
 
 def unsteady_drive(records: Sequence[Record], left: Sequence[FloatArray]) -> tuple[str, ...]:
@@ -250,7 +322,7 @@ def unsteady_drive(records: Sequence[Record], left: Sequence[FloatArray]) -> tup
     sizes = np.sqrt(np.mean([np.nanmean(np.square(part), axis=0) for part in left], axis=0))
     worst = 1.0
     for errors in left:
-        tenths = [np.nanmean(np.square(part / sizes)) for part in np.array_split(errors, N_BLOCKS // 2)]
+        tenths = [np.nanmean(np.square(part / sizes)) for part in np.array_split(errors, N_PARTS)]
         worst = max(worst, float(np.sqrt(max(tenths) / max(min(tenths), np.finfo(float).tiny))))
     if worst < UNSTEADY:
         return ()

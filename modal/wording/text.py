@@ -23,8 +23,9 @@ MOST_NAMED = 3
 LEAST_FIT = 0.5
 """Call no mode certain where the cross-validated fit is lower: the model then explains less than it leaves."""
 
-NONLINEAR = "Something is not linear"
-"""Begin the warning so where errors follow powers of the motion, for the sentences that depend on it."""
+NONLINEAR, WITH_LEVEL = "Something is not linear", "with the level of motion"
+"""Begin the warning so where errors follow powers of the motion, and say so of a mode that changes with it: other
+sentences depend on both."""
 
 GOOD_FIT = 0.8
 """Say that the model explains the record well from this cross-validated fit on."""
