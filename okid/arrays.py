@@ -290,15 +290,21 @@ def any_number(array: FloatArray) -> bool:
     return any(not np.isnan(array[rows]).all() for rows in row_chunks(*array.shape))
 
 
-def check_not_empty(array: FloatArray, names: tuple[str, ...], kind: str) -> None:
-    """Raise if a channel is missing in every sample; a mapped file is read only as far as needed."""
+def with_numbers(array: FloatArray) -> BoolArray:
+    """(n_channels,) whether a channel holds anything but NaN; a mapped file is read only as far as needed."""
     seen = np.zeros(array.shape[1], dtype=np.bool_)
     for rows in row_chunks(*array.shape):
         chunk = array[rows]
         seen |= ~np.isnan(chunk[0])  # mostly the first sample tells
         seen |= seen.all() or ~np.isnan(chunk).all(axis=0)
         if seen.all():
-            return
+            break
+    return seen
+
+
+def check_not_empty(array: FloatArray, names: tuple[str, ...], kind: str) -> None:
+    """Raise if a channel is missing in every sample."""
+    seen = with_numbers(array)
     empty = [repr(name) for name, any_number in zip(names, seen, strict=True) if not any_number]
     if len(empty) == 1:
         raise InvalidDataError(

@@ -367,12 +367,14 @@ def constant_findings(channel: Channel) -> list[Finding]:
     """The channel never moves by more than its last digit."""
     if channel.std > 0.0:
         return []
+    how = f"never moves (always {channel.value(channel.mean)}): it is dead, unplugged or not recorded"
+    if np.isnan(channel.mean):
+        how = "holds no number: it was not recorded"
     return [
         channel.finding(
             level="bad",
             what="constant",
-            sentence=f"{channel.role} {named(channel.name)} never moves (always {channel.value(channel.mean)}): it is "
-            "dead, unplugged or not recorded; leave it out.",
+            sentence=f"{channel.role} {named(channel.name)} {how}; leave it out.",
             share=1.0,
         )
     ]

@@ -223,12 +223,11 @@ def _moves_nearby(part: FloatArray, k: int, channel: Channel) -> bool:
 
 
 def missing_findings(channel: Channel) -> list[Finding]:
-    """Missing samples of one channel; a record of a set-up that did not measure it lacks none.
+    """Missing samples of one channel; a record that did not measure it lacks none.
 
     An output counts where it was measured, so gaps cost no more than precision; what an input did moves all of them.
     """
     measured = [number for number, part in enumerate(channel.parts) if np.isfinite(part).any()]
-    measured = measured or list(range(len(channel.parts)))
     gaps = [(number, *run) for number in measured for run in runs_of(np.isnan(channel.parts[number]))]
     if not gaps:
         return []

@@ -40,7 +40,7 @@ from modal.quality.channels import (
 from modal.quality.coherence import Shares, coherence_findings, explained_share, modelled_share
 from modal.quality.findings import ChannelQuality, ChannelStatistics, DataQuality
 from modal.quality.inputs import copy_findings, excitation_findings, timing_findings, together_findings
-from okid.arrays import BoolArray, FloatArray
+from okid.arrays import BoolArray, FloatArray, with_numbers
 from okid.frequency_response import FEWEST_AVERAGES, AveragedSpectra, averaged_spectra, segment_length
 from okid.record import Record
 from okid.rows import as_records, refuse_copies
@@ -124,7 +124,8 @@ def check_quality(records: Record | Sequence[Record]) -> DataQuality:
     refuse_copies(several)
     first = several[0]
     scaling = channel_scaling(several)
-    spectra = _spectra(several)
+    standing = _standing(several)
+    spectra = _spectra(standing)
     densities = spectra.densities(first.n_inputs + first.n_outputs)
     n_samples = [record.n_samples for record in several]
     known = _Inputs(tuple(np.zeros(n, dtype=np.bool_) for n in n_samples), [], [])
@@ -136,7 +137,7 @@ def check_quality(records: Record | Sequence[Record]) -> DataQuality:
         findings += _channel_findings(channel, several, known, resolution=resolution)
         explained = float(spectra.shares.explained[channel.index]) if channel.role == "output" else float("nan")
         statistics.append(_statistics(channel, resolution, spectra.frequencies, density, explained))
-    findings += _findings_together(several, spectra, densities, findings)
+    findings += _findings_together(standing, spectra, densities, findings)
     findings.sort(key=lambda finding: LEVELS.index(finding.level))
     return DataQuality(
         channels=_channels(first, statistics, findings),
@@ -145,6 +146,14 @@ def check_quality(records: Record | Sequence[Record]) -> DataQuality:
         frequencies=spectra.frequencies,
         densities=densities,
     )
+
+
+def _standing(records: Sequence[Record]) -> list[Record]:
+    """The records with outputs that none of them measured at 0, as dead ones stand: they are no gaps of others."""
+    seen = np.any([with_numbers(record.outputs) for record in records], axis=0)
+    if seen.all():
+        return list(records)
+    return [replace(record, outputs=np.where(seen, record.outputs, 0.0)) for record in records]
 
 
 def _channel_findings(

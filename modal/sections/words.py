@@ -53,7 +53,9 @@ def next_sentences(result: Identification, quality: "DataQuality | None" = None)
 
     Data that are bad are mended before anything is measured again or quoted; without a mode there is nothing to quote.
     """
-    bad = () if quality is None else [one for one in quality.findings if one.level == "bad"]
+    used = {*result.channels.input_names, *result.channels.output_names}  # a dead output is left out: it spoils nothing
+    found = () if quality is None else quality.findings
+    bad = [one for one in found if one.level == "bad" and (not one.channels or used & set(one.channels))]
     if bad:
         what = f"{bad[0].what}, {visible(bad[0].where)}"
         return (f"Mend or replace the data ({what}) and identify again; until then all modes are provisional.",)

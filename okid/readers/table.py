@@ -16,7 +16,7 @@ from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 
-from okid.arrays import FloatArray, check_not_empty, column_block, row_chunks, time_step
+from okid.arrays import FloatArray, column_block, row_chunks, time_step
 from okid.errors import IdentificationWarning, InsufficientDataError, InvalidDataError
 from okid.readers.units import MAX_NAME, PARENTHESIS, UnitConversion, convert_unit
 
@@ -527,11 +527,9 @@ def to_record(
     input_units = [conversion_of(table, index) for index in into]
     output_units = [conversion_of(table, index) for index in out]
     try:
-        values = _in_si(column_block(table.values, out), output_units)
-        check_not_empty(values, tuple(unit.channel for unit in output_units), "output")
         return kind(
             _in_si(column_block(table.values, into), input_units),
-            values,
+            _in_si(column_block(table.values, out), output_units),
             step,
             input_names=tuple(unit.channel for unit in input_units),
             output_names=tuple(unit.channel for unit in output_units),

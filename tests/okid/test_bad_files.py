@@ -141,8 +141,9 @@ def test_more_channels_than_samples(tmp_path):
 
 def test_nan_everywhere_and_infinity(tmp_path):
     (tmp_path / "a.csv").write_text("time [s],u,y\n" + "".join(f"{row},1,nan\n" for row in range(9)))
-    refused(tmp_path / "a.csv", r"a\.csv: output 'y' holds no number in any of its 9 samples; leave it out")
+    refused(tmp_path / "a.csv", r"a\.csv: output 'y' holds no number in any of its 9 samples; leave it out", inputs="u")
     assert read_record(tmp_path / "a.csv", outputs="u").n_samples == 9
+    assert np.isnan(read_record(tmp_path / "a.csv").outputs).all(axis=0).tolist() == [False, True]  # `identify` says so
     (tmp_path / "a.csv").write_text("time [s],y\n0,1\n1,inf\n2,3\n")
     refused(tmp_path / "a.csv", r"a\.csv: outputs must not hold infinite values, but sample 1 of channel 0")
 

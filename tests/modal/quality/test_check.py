@@ -71,6 +71,18 @@ def test_each_fault_is_named_in_its_channel(fault, size, what, level):
     assert not {"constant", "stuck", "clipped", "spikes", "coarse"} & whats(quality, "output_1")
 
 
+def test_an_output_that_no_record_holds_is_told_once_and_costs_the_others_nothing():
+    """It was missing samples too, no coherence was measured for its gaps, and its value was "always nan"."""
+    rng = np.random.default_rng(0)
+    force = rng.standard_normal(4000)
+    tip = np.convolve(force, [0.0, 1.0, 1.6, 1.5, 0.8])[:4000] + 0.1 * rng.standard_normal(4000)
+    alone = check_quality(Record(force, tip, 0.01))
+    quality = check_quality(Record(force, np.column_stack([tip, np.full(4000, np.nan)]), 0.01))
+    (finding,) = (one for one in quality.findings if "output_1" in one.channels)
+    assert finding.sentence == "output 'output_1' holds no number: it was not recorded; leave it out."
+    assert quality.channels[1].statistics.explained == pytest.approx(alone.channels[1].statistics.explained)
+
+
 def test_levels_and_verdict_follow_the_worst_finding():
     def quality(*levels):
         found = tuple(Finding(level=level, what="x", where="y", sentence="z.") for level in levels)

@@ -199,8 +199,9 @@ def test_intervals_are_shown_when_known(identification):
 
 def test_what_comes_next_is_one_thing_that_waits_for_no_other(identification):
     warned = replace(with_system(identification, 0), warnings=("Look.", "Look again."))
-    bad = SimpleNamespace(findings=(SimpleNamespace(level="bad", what="missing samples", where="force"),))
-    (mend,) = next_sentences(warned, bad)
+    lost = SimpleNamespace(level="bad", what="missing samples", where="force", channels=())
+    left_out = SimpleNamespace(level="bad", what="constant", where="a dead one", channels=("a dead one",))
+    (mend,) = next_sentences(warned, SimpleNamespace(findings=(left_out, lost)))
     assert mend.startswith("Mend or replace the data (missing samples, force)")
     (again,) = next_sentences(warned)
     assert again.startswith("Quote nothing")
