@@ -101,7 +101,6 @@ def fit_all_rows(
     found: Search,
     *,
     n_rest: int = 0,
-    noise_free: str = "",
     refinement: Literal["auto", "none"] = "auto",
     feedback: bool = False,
     measured: Sequence[BoolArray] = (),
@@ -115,7 +114,6 @@ def fit_all_rows(
         records: that the search saw.
         found: by the search.
         n_rest: rows of rest among theirs, which hold no noise.
-        noise_free: in words, which samples hold no noise; where some do, no model of the noise is asked for.
         refinement: "none" leaves the model as OKID and ERA give it.
         feedback: the outputs seem to be fed back into the inputs.
         measured: (n_samples, n_outputs) a record, False where a sample was filled; none where all were measured.
@@ -145,7 +143,6 @@ def fit_all_rows(
                     trial,
                     start=start,
                     n_rest=n_rest,
-                    noise_free=noise_free,
                     by=found.ground.by,
                     feedback=feedback,
                     order_given=len(found.limits.model_orders) == 1,
@@ -238,7 +235,6 @@ def _refined(
     *,
     start: Realisation,
     n_rest: int,
-    noise_free: str,
     by: Folds,
     feedback: bool,
     order_given: bool,
@@ -263,7 +259,7 @@ def _refined(
         fitted,
         model,
         refined,
-        noise_free=noise_free or ("rows of rest, which hold no noise, stand before the record" if n_rest else ""),
+        noise_free="rows of rest, which hold no noise, stand before the record" if n_rest else "",
         measured=measured,
         feedback=feedback,
         order_given=order_given,

@@ -193,8 +193,10 @@ def identify(
     )
     if has_absent_outputs(several):
 
-        def again(parts: Sequence[Record], delays: Sequence[int] | None, *, noise_free: str = "") -> Identification:
-            own = partial(once, parts, decimation=1, kind=kind, progress=None, noise_free=noise_free)
+        def again(parts: Sequence[Record], delays: Sequence[int] | None) -> Identification:
+            own = partial(once, parts, decimation=1, kind=kind, progress=None)
+            if has_absent_outputs(parts):  # no row is whole, and an observer needs some to start from
+                own = partial(own, missing="fill")
             return _of_one_system(parts, own) if delays is None else own(input_delay=delays)
 
         given = None if isinstance(input_delay, str) else given_input_delay(input_delay, several[0]).samples
@@ -234,7 +236,6 @@ def _with_delays(
     drift: int | Literal["auto", "none", "linear"],
     kind: GivenKind,
     progress: Callable[[str, float], None] | None,
-    noise_free: str = "",
 ) -> Identification:
     several, kind_found, mend = _within_memory(records, given_kind(kind))
     if kind_found.kind == "decay":  # what a release does is neither late nor summed, and its end is its level
@@ -276,7 +277,6 @@ def _with_delays(
                 records,
                 found,
                 n_rest=sum(preparation.n_rest),
-                noise_free=noise_free,
                 refinement=refinement,
                 feedback=suspected,
                 measured=measured,

@@ -86,7 +86,7 @@ def test_roving_sensors_give_one_model_with_the_deviations_of_all_set_ups():
     alone = [modal.identify(record, **orders).modes.system for record in records]
     for joint, *own in zip(result.modes.system, *alone, strict=True):
         together = sum(mode.frequency_std**-2 for mode in own) ** -0.5
-        assert joint.frequency_std == pytest.approx(together, rel=0.05)
+        assert 0.8 * together < joint.frequency_std < 1.02 * together  # surer: what y1 shows of a mode is common
         assert (joint.shape_std >= 0).all()
 
 
