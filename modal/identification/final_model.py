@@ -294,8 +294,9 @@ def with_noise(
     made = replace(fitted, cut=model, refined=refined, gain=gain, realisation=base, feedback=found)
     if base.K is None:
         return made
-    if measured and made.leaves_nearly_white:
-        noise_free = "nearly white where it was measured, and samples that were filled hold none"
+    if measured and (made.leaves_nearly_white or lack_outputs(measured)):
+        colour = "nearly white" if made.leaves_nearly_white else "told"
+        noise_free = f"{colour} where it was measured, and samples that were filled hold none"
     if noise_free:
         return replace(made, why=noise_free)
     evidence = base if base.factors is not None else model
@@ -312,6 +313,11 @@ def with_noise(
     gain = None if noise.n_noise == 0 else estimate_gain(noise.realisation, records)
     likeliest = noise.realisation if gain is None else replace(noise.realisation, K=gain.gain)
     return replace(made, noise=noise, why=why, gain=gain, realisation=likeliest)
+
+
+def lack_outputs(measured: Sequence[BoolArray]) -> bool:
+    """Whether some record holds no sample of an output that was measured; no model foretells its noise from others'."""
+    return any(not there.any(axis=0).all() for there in measured)
 
 
 def _biased(model: RefinedModel) -> bool:

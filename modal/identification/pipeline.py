@@ -17,7 +17,7 @@ from modal.estimation.cross_validation import WITHIN, Folds, Trial
 from modal.estimation.feedback import FALSE_ALARMS, feedback_p_value
 from modal.estimation.fits import measure_fit, model_runs
 from modal.identification.covariance import told_at_rest
-from modal.identification.final_model import FinalModel, fit_all_rows, with_deviations
+from modal.identification.final_model import FinalModel, fit_all_rows, lack_outputs, with_deviations
 from modal.identification.more_modes import with_undriven
 from modal.identification.order_search import Search, choose_orders, given_orders
 from modal.identification.refined_search import MOST_STEPS, refined_search
@@ -287,7 +287,8 @@ def _with_delays(
         if measured:
             again = refilled(preparation.records, preparation.measured, final.realisation)
             preparation = replace(preparation, records=again)
-            if not final.leaves_nearly_white:  # a model of its noise needs every sample, as the model leaves it
+            # a model of its noise needs every sample, as the model leaves it
+            if not (final.leaves_nearly_white or lack_outputs(measured)):
                 taken, final = fitted(again)
         asked = refinement == "auto" and kind_found.kind == "driven" and not suspected
         asked = asked and not (measured and final.leaves_nearly_white)

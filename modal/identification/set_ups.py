@@ -5,7 +5,9 @@ recorder are no one instant) and, at the references, how much it moves for its f
 records, and a set-up whose references answer otherwise than those of the first one has its inputs scaled to it. Then
 one model is fitted to all records with all channels, each output in the rows in which it was measured, each record by
 its own noise (`modal.identification.refined_search`): poles, shapes, their deviations and the verdict are those of one
-likelihood, as if one record had measured it all.
+likelihood, as if one record had measured it all. Noise that is not white is another one in every set-up, and what was
+not measured has none: there poles and shapes are means of what the set-ups give with models of their own noise, by
+information, 1 / var = sum over set-ups of 1 / var_s.
 
 **Without inputs.** What drives the structure is another force in every set-up, so neither levels nor innovations can be
 shared: only poles and shapes are common. Each set-up is identified by its outputs alone; a part of a shape is scaled to
@@ -27,6 +29,7 @@ from modal.estimation.fits import mean_fit
 from modal.identification.information import mean_by_information
 from modal.identification.result import Identification
 from modal.identification.synthesis import output_model, with_absent_outputs
+from modal.identification.words import NOISE_UNKNOWN, has_noise_model
 from modal.modes.mode import Choice, ModalModel, Mode, Uncertainty
 from modal.modes.shape_comparison import assurance
 from modal.preparation.band import coherent_band
@@ -115,17 +118,17 @@ def identify_setups(
     if not records[0].n_inputs:
         found = _ambient(records, setups, results)
         return replace(found, warnings=(*dead, *found.warnings))
-    aligned, said, warnings = _aligned(records, setups, results)
+    aligned, of_each, said, warnings = _aligned(records, setups, results)
     joint = again(aligned, _early(setups, results, records[0].n_inputs))
+    reason = "one model of all, fitted to each output where it was measured and to each record by its own noise"
+    if any(map(has_noise_model, results)):
+        joint = _at_means(joint, setups, of_each)
+        reason += "; poles and shapes are means of what set-ups tell, which have models of their own noise"
     measured = _measured(records, setups)
-    choice = Choice(
-        what="set-ups",
-        value=f"{len(setups)}: {measured}",
-        reason="one model of all, fitted to each output where it was measured and to each record by its own noise",
-    )
+    choice = Choice(what="set-ups", value=f"{len(setups)}: {measured}", reason=reason)
     warning = (
-        f"Not every set-up measured every output: {measured}. Modes, deviations and verdict are those of one fit to "
-        "all that was measured; what is missing was filled by a model for residuals and pictures alone."
+        f"Not every set-up measured every output: {measured}. Modes, deviations and verdict rest on what was measured; "
+        "what is missing was filled by a model for residuals and pictures alone."
     )
     return replace(
         joint,
@@ -142,8 +145,8 @@ def _early(setups: Sequence[_SetUp], results: Sequence[Identification], n_inputs
 
 def _aligned(
     records: Sequence[Record], setups: Sequence[_SetUp], results: Sequence[Identification]
-) -> tuple[list[Record], tuple[Choice, ...], tuple[str, ...]]:
-    """Records whose inputs act at once and with one gain."""
+) -> tuple[list[Record], list[ModalModel], tuple[Choice, ...], tuple[str, ...]]:
+    """Records whose inputs act at once and with one gain, and what such inputs drive in each set-up."""
     aligned, modes = list(records), [result.modes for result in results]
     choices: list[str] = []
     warnings: list[str] = []
@@ -179,13 +182,13 @@ def _aligned(
             aligned[member] = record
         modes[k] = _driven_by_aligned(modes[k], np.subtract(delays, found, dtype=float), np.array(gains))
     if not choices:
-        return aligned, (), tuple(warnings)
+        return aligned, modes, (), tuple(warnings)
     choice = Choice(
         what="input delays of set-ups",
         value="; ".join(choices),
         reason="taken out of each set-up's records, so that one model answers all of them",
     )
-    return aligned, (choice,), tuple(warnings)
+    return aligned, modes, (choice,), tuple(warnings)
 
 
 def _driven_by_aligned(modes: ModalModel, later: FloatArray, gains: FloatArray) -> ModalModel:
@@ -282,6 +285,66 @@ def _places(one: _SetUp, outputs: Sequence[int]) -> list[int]:
 
 def _own_channels(records: Sequence[Record], one: _SetUp) -> list[Record]:
     return [records[i].select(inputs=one.inputs, outputs=one.outputs) for i in one.members]
+
+
+def _at_means(joint: Identification, setups: Sequence[_SetUp], of_each: Sequence[ModalModel]) -> Identification:
+    """The joint result with its modes at the means of what the set-ups give."""
+    modes = tuple(_at_mean(mode, setups, of_each) for mode in joint.modes)
+    uncertainty, n_outputs = joint.uncertainty, len(joint.modes.output_names)
+    if uncertainty is not None:
+        shapes = [np.full(n_outputs, np.nan) if mode.shape_std is None else mode.shape_std for mode in modes]
+        uncertainty = replace(
+            uncertainty,
+            frequency_std=np.array([mode.frequency_std for mode in modes]),
+            damping_ratio_std=np.array([mode.damping_ratio_std for mode in modes]),
+            shape_std=np.array(shapes).reshape(len(modes), n_outputs),
+            markov_std=np.full(uncertainty.markov_std.shape, np.nan),
+        )
+    warnings = tuple(text for text in joint.warnings if not text.startswith(NOISE_UNKNOWN))
+    return replace(joint, modes=replace(joint.modes, modes=modes), uncertainty=uncertainty, warnings=warnings)
+
+
+def _at_mean(mode: Mode, setups: Sequence[_SetUp], of_each: Sequence[ModalModel]) -> Mode:
+    """A mode of the joint model at the mean of what the set-ups give, by information; its own where none has it.
+
+    The joint participations bring the parts of the shape to one scale.
+    """
+    gained, sums = np.zeros(mode.shape.size), np.zeros(mode.shape.size, dtype=np.complex128)
+    pairs = zip(setups, of_each, strict=True)
+    found = [_same(mode, one.outputs, modes, range(len(one.outputs))) for one, modes in pairs]
+    for one, own in zip(setups, found, strict=True):
+        joint = mode.participation[list(one.inputs)]
+        if own is None or own.shape_std is None or not joint.any():
+            continue
+        outputs = list(one.outputs)
+        scale = complex(np.vdot(joint, own.participation) / np.vdot(joint, joint))
+        weight = (abs(scale) * np.maximum(_spread(own), np.finfo(np.float64).tiny)) ** -2.0
+        gained[outputs] += weight
+        sums[outputs] += weight * scale * own.shape
+    sure = [own for own in found if own is not None and own.frequency_std > 0.0 and own.damping_ratio_std > 0.0]
+    frequency, frequency_std = mean_by_information([own.frequency for own in sure], [own.frequency_std for own in sure])
+    damping, damping_std = mean_by_information(
+        [own.damping_ratio for own in sure], [own.damping_ratio_std for own in sure]
+    )
+    if not sure:
+        frequency, damping = mode.frequency, mode.damping_ratio
+    known = bool((gained > 0.0).all())
+    shape = sums / gained if known else mode.shape
+    largest = int(np.abs(shape).argmax())
+    shape_std = gained**-0.5 / abs(shape[largest]) if known else np.zeros(0)
+    shape_std[largest : largest + 1] = 0.0
+    pole = 2.0 * np.pi * frequency * complex(-damping, np.sqrt(max(0.0, 1.0 - damping**2)))
+    return replace(
+        mode,
+        pole=pole if sure and mode.kind == "oscillatory" else mode.pole,
+        frequency=frequency,
+        damping_ratio=damping,
+        frequency_std=frequency_std,
+        damping_ratio_std=damping_std,
+        shape=shape / shape[largest],
+        participation=mode.participation * shape[largest],
+        shape_std=shape_std if known else None,
+    )
 
 
 def _same(mode: Mode, rows: Sequence[int], modes: Iterable[Mode], others: Sequence[int]) -> Mode | None:

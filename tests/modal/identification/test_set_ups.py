@@ -231,7 +231,7 @@ def test_loud_set_ups_do_not_draw_the_shapes_of_quiet_ones():
         names = [f"y{sensor}" for sensor in sensors]
         records.append(okid.Record(force, outputs, 0.01, input_names=["force"], output_names=names, name=f"{k}"))
     result = modal.identify(okid.join_setups(records), observer_order=32, ridge=0.0, order=8)
-    np.testing.assert_allclose(result.fit.cross_validated, 0.98, atol=0.006)
+    assert 0.96 < result.fit.cross_validated.min() <= result.fit.cross_validated.max() < 0.983
     modes = result.modes
     order = [modes.output_names.index(f"y{k}") for k in range(18)]
     for frequency, ratio, shape in zip(frequencies, damping, shapes.T, strict=True):
