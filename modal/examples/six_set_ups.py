@@ -3,8 +3,8 @@
 Two accelerometers stay on the fifth and the eighth floor, the third one roves over the six others; a shaker on the
 roof is turned up and down from day to day by a factor of ten, as it happens. No record has seen more than three floors,
 and none knows the scale of another but by the two that stay: `okid.join_setups` puts the records side by side on the
-union of their channels, and `modal.identify` gives one modal model of all eight floors, poles and shapes weighted by
-what each set-up tells of them.
+union of their channels, and `modal.identify` gives one modal model of all eight floors, fitted to each accelerometer
+where it measured and to each set-up by its own noise.
 
 The truth is known: the eigenvalue problem of the masses and springs, whose motion `scipy.signal.lsim` computes
 (`modal.examples.story`).

@@ -177,7 +177,7 @@ def _unlike(variances: FloatArray, rows: np.ndarray) -> bool:
     known = np.where(variances > 0.0, variances, 1.0)
     pooled = (counted * variances).sum(axis=0) / np.maximum(counted.sum(axis=0), 1)
     statistic = float((counted * np.log(np.where(counted > 0, pooled, 1.0) / known)).sum())
-    freedom = (len(rows) - 1) * variances.shape[1]
+    freedom = int(((counted > 0).sum(axis=0) - 1).clip(0).sum())
     return bool(scipy.special.gammaincc(0.5 * freedom, 0.5 * statistic) < UNLIKE_AT)
 
 

@@ -101,7 +101,6 @@ def fit_all_rows(
     found: Search,
     *,
     n_rest: int = 0,
-    noise_free: str = "",
     refinement: Literal["auto", "none"] = "auto",
     feedback: bool = False,
     measured: Sequence[BoolArray] = (),
@@ -115,7 +114,6 @@ def fit_all_rows(
         records: that the search saw.
         found: by the search.
         n_rest: rows of rest among theirs, which hold no noise.
-        noise_free: in words, which samples hold no noise; where some do, no model of the noise is asked for.
         refinement: "none" leaves the model as OKID and ERA give it.
         feedback: the outputs seem to be fed back into the inputs.
         measured: (n_samples, n_outputs) a record, False where a sample was filled; none where all were measured.
@@ -145,7 +143,6 @@ def fit_all_rows(
                     trial,
                     start=start,
                     n_rest=n_rest,
-                    noise_free=noise_free,
                     by=found.ground.by,
                     feedback=feedback,
                     order_given=len(found.limits.model_orders) == 1,
@@ -238,7 +235,6 @@ def _refined(
     *,
     start: Realisation,
     n_rest: int,
-    noise_free: str,
     by: Folds,
     feedback: bool,
     order_given: bool,
@@ -263,7 +259,7 @@ def _refined(
         fitted,
         model,
         refined,
-        noise_free=noise_free or ("rows of rest, which hold no noise, stand before the record" if n_rest else ""),
+        noise_free="rows of rest, which hold no noise, stand before the record" if n_rest else "",
         measured=measured,
         feedback=feedback,
         order_given=order_given,
@@ -298,8 +294,9 @@ def with_noise(
     made = replace(fitted, cut=model, refined=refined, gain=gain, realisation=base, feedback=found)
     if base.K is None:
         return made
-    if measured and made.leaves_nearly_white:
-        noise_free = "nearly white where it was measured, and samples that were filled hold none"
+    if measured and (made.leaves_nearly_white or lack_outputs(measured)):
+        colour = "nearly white" if made.leaves_nearly_white else "told"
+        noise_free = f"{colour} where it was measured, and samples that were filled hold none"
     if noise_free:
         return replace(made, why=noise_free)
     evidence = base if base.factors is not None else model
@@ -316,6 +313,11 @@ def with_noise(
     gain = None if noise.n_noise == 0 else estimate_gain(noise.realisation, records)
     likeliest = noise.realisation if gain is None else replace(noise.realisation, K=gain.gain)
     return replace(made, noise=noise, why=why, gain=gain, realisation=likeliest)
+
+
+def lack_outputs(measured: Sequence[BoolArray]) -> bool:
+    """Whether some record holds no sample of an output that was measured; no model foretells its noise from others'."""
+    return any(not there.any(axis=0).all() for there in measured)
 
 
 def _biased(model: RefinedModel) -> bool:

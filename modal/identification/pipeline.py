@@ -17,7 +17,7 @@ from modal.estimation.cross_validation import WITHIN, Folds, Trial
 from modal.estimation.feedback import FALSE_ALARMS, feedback_p_value
 from modal.estimation.fits import measure_fit, model_runs
 from modal.identification.covariance import told_at_rest
-from modal.identification.final_model import FinalModel, fit_all_rows, with_deviations
+from modal.identification.final_model import FinalModel, fit_all_rows, lack_outputs, with_deviations
 from modal.identification.more_modes import with_undriven
 from modal.identification.order_search import Search, choose_orders, given_orders
 from modal.identification.refined_search import MOST_STEPS, refined_search
@@ -193,8 +193,10 @@ def identify(
     )
     if has_absent_outputs(several):
 
-        def again(parts: Sequence[Record], delays: Sequence[int] | None, *, noise_free: str = "") -> Identification:
-            own = partial(once, parts, decimation=1, kind=kind, progress=None, noise_free=noise_free)
+        def again(parts: Sequence[Record], delays: Sequence[int] | None) -> Identification:
+            own = partial(once, parts, decimation=1, kind=kind, progress=None)
+            if has_absent_outputs(parts):  # no row is whole, and an observer needs some to start from
+                own = partial(own, missing="fill")
             return _of_one_system(parts, own) if delays is None else own(input_delay=delays)
 
         given = None if isinstance(input_delay, str) else given_input_delay(input_delay, several[0]).samples
@@ -234,7 +236,6 @@ def _with_delays(
     drift: int | Literal["auto", "none", "linear"],
     kind: GivenKind,
     progress: Callable[[str, float], None] | None,
-    noise_free: str = "",
 ) -> Identification:
     several, kind_found, mend = _within_memory(records, given_kind(kind))
     if kind_found.kind == "decay":  # what a release does is neither late nor summed, and its end is its level
@@ -276,7 +277,6 @@ def _with_delays(
                 records,
                 found,
                 n_rest=sum(preparation.n_rest),
-                noise_free=noise_free,
                 refinement=refinement,
                 feedback=suspected,
                 measured=measured,
@@ -287,7 +287,8 @@ def _with_delays(
         if measured:
             again = refilled(preparation.records, preparation.measured, final.realisation)
             preparation = replace(preparation, records=again)
-            if not final.leaves_nearly_white:  # a model of its noise needs every sample, as the model leaves it
+            # a model of its noise needs every sample, as the model leaves it
+            if not (final.leaves_nearly_white or lack_outputs(measured)):
                 taken, final = fitted(again)
         asked = refinement == "auto" and kind_found.kind == "driven" and not suspected
         asked = asked and not (measured and final.leaves_nearly_white)

@@ -45,6 +45,7 @@ from modal.estimation.modal_states import Block, blocks_by_turns, blocks_of, sig
 from modal.estimation.output_error import (
     GROWS_AFTER,
     GROWS_ON,
+    ROUND_OFF,
     SMALLEST_GAIN,
     OutputError,
     RefinementStep,
@@ -558,13 +559,15 @@ def _alike(step: RefinementStep, data: OutputError) -> tuple[RefinementStep, Out
     stands the noise of all, which after some rounds is as good as its own; few rows are no measure of their noise.
     """
     squares = np.array([np.nansum(error**2, axis=0) for error in errors_of(step, data)])
-    rows = np.maximum(1, [there.sum(axis=0) for there in data.counted])
+    counted = np.array([there.sum(axis=0) for there in data.counted])
+    rows = np.maximum(1, counted)
     parameters = step.parameters
     moves = parameters.states.any(axis=1) * (1 + parameters.is_pair).sum() / squares.shape[1]
     taken = np.minimum(rows, 1.0 + moves[:, np.newaxis])
     left = (squares + taken * squares.sum(axis=0) / np.maximum(1.0, (rows - taken).sum(axis=0))) / rows
-    of_each = np.maximum(left, SMALLEST_NOISE**2 * left.max())
-    noise = np.exp(0.5 * np.median(np.log(of_each), axis=1))
+    of_each = np.log(np.maximum(left, SMALLEST_NOISE**2 * left.max()))
+    beyond = np.where(counted > 0, of_each - _of_outputs(of_each, counted > 0), np.nan)
+    noise = np.exp(0.5 * np.nanmedian(beyond, axis=1))
     size = noise / np.exp(np.log(noise).mean())
     records = tuple(
         replace(record, inputs=record.inputs / own, outputs=record.outputs / own)
@@ -573,6 +576,19 @@ def _alike(step: RefinementStep, data: OutputError) -> tuple[RefinementStep, Out
     states = step.parameters.states / size[:, np.newaxis]
     data = replace(data, records=records)
     return step_at(replace(step.parameters, states=states), data), data, size
+
+
+def _of_outputs(values: FloatArray, there: BoolArray) -> FloatArray:
+    """(n_outputs,) of the least-squares sum of a number a record and one an output, where outputs were measured.
+
+    A record that lacks an output is compared with others by those that both have: what only loud ones measured is
+    neither as loud nor as quiet for it.
+    """
+    share = there / there.sum(axis=1, keepdims=True)
+    normal = np.diag(there.sum(axis=0)) - there.T @ share
+    known = np.where(there, values, 0.0)
+    wanted = known.sum(axis=0) - share.T @ known.sum(axis=1)
+    return np.asarray(np.linalg.lstsq(normal, wanted, rcond=ROUND_OFF)[0])
 
 
 def whiteness_ratio(step: RefinementStep, data: OutputError) -> float:

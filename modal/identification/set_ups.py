@@ -2,13 +2,12 @@
 
 **With inputs.** Each set-up is identified by itself, which tells how late its inputs act there (two starts of a
 recorder are no one instant) and, at the references, how much it moves for its force. Delays are taken out of the
-records, and a set-up whose references answer otherwise than those of the first one has its inputs scaled to it. What a
-set-up did not measure is then simulated by the model of one that did, driven by its own inputs and started from its own
-references; one model is fitted to all records with all channels, which says what is a mode. What is simulated brings no
-new information, draws the joint fit towards the model that made it, and makes the errors look small; so poles and
-shapes are the means of what the set-ups give, and information adds,
-
-    1 / var = sum over set-ups of 1 / var_s
+records, and a set-up whose references answer otherwise than those of the first one has its inputs scaled to it. Then
+one model is fitted to all records with all channels, each output in the rows in which it was measured, each record by
+its own noise (`modal.identification.refined_search`): poles, shapes, their deviations and the verdict are those of one
+likelihood, as if one record had measured it all. Noise that is not white is another one in every set-up, and what was
+not measured has none: there poles and shapes are means of what the set-ups give with models of their own noise, by
+information, 1 / var = sum over set-ups of 1 / var_s.
 
 **Without inputs.** What drives the structure is another force in every set-up, so neither levels nor innovations can be
 shared: only poles and shapes are common. Each set-up is identified by its outputs alone; a part of a shape is scaled to
@@ -26,15 +25,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from era.simulation import estimate_initial_state, simulate
 from modal.estimation.fits import mean_fit
 from modal.identification.information import mean_by_information
 from modal.identification.result import Identification
 from modal.identification.synthesis import output_model, with_absent_outputs
+from modal.identification.words import NOISE_UNKNOWN, has_noise_model
 from modal.modes.mode import Choice, ModalModel, Mode, Uncertainty
 from modal.modes.shape_comparison import assurance
 from modal.preparation.band import coherent_band
-from modal.preparation.delay import LONGEST_SHARE, delay_between, late_inputs, with_input_delay, without_input_delay
+from modal.preparation.delay import LONGEST_SHARE, delay_between, late_inputs
 from modal.preparation.faults import living
 from modal.verdict.excitation import undriven_doubt
 from modal.verdict.judgement import DOUBTED
@@ -49,9 +48,8 @@ SAME_FREQUENCY = 6.0
 SAME_SHAPE = 0.8
 """and from this assurance on over the outputs of the set-up."""
 
-Again = Callable[..., Identification]
-"""again(records, input_delays, noise_free=words) identifies records that have all their channels, with these delays or
-None for those that the data tell; the words say which samples hold no noise, where some do."""
+Again = Callable[[Sequence[Record], Sequence[int] | None], Identification]
+"""Identifies records, of which some may lack outputs, with these input delays or None for those that the data tell."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -99,7 +97,7 @@ def identify_setups(
 
     Args:
         records: on the union of the channels (`okid.join_setups`), an absent output NaN throughout.
-        again: identifies records that have all their channels, at the time step that they have.
+        again: identifies records at the time step that they have.
         decimation: as given, None to choose one for all set-ups.
         input_delay: (n_inputs,) samples of the records, None where the data tell.
 
@@ -120,14 +118,23 @@ def identify_setups(
     if not records[0].n_inputs:
         found = _ambient(records, setups, results)
         return replace(found, warnings=(*dead, *found.warnings))
-    early = _early(setups, results, records[0].n_inputs)
-    aligned, results, said, warnings = _aligned(records, setups, results, early, again)
-    filled = list(aligned)
-    for one in setups:
-        for member in one.members:
-            filled[member] = _completed(aligned[member], one, setups, results)
-    joint = again(filled, early, noise_free="outputs that were simulated hold no noise")
-    return _with_joint_deviations(joint, records, setups, results, said=said, warnings=(*dead, *warnings))
+    aligned, of_each, said, warnings = _aligned(records, setups, results)
+    joint = again(aligned, _early(setups, results, records[0].n_inputs))
+    reason = "one model of all, fitted to each output where it was measured and to each record by its own noise"
+    if any(map(has_noise_model, results)):
+        joint = _at_means(joint, setups, of_each)
+        reason += "; poles and shapes are means of what set-ups tell, which have models of their own noise"
+    measured = _measured(records, setups)
+    choice = Choice(what="set-ups", value=f"{len(setups)}: {measured}", reason=reason)
+    warning = (
+        f"Not every set-up measured every output: {measured}. Modes, deviations and verdict rest on what was measured; "
+        "what is missing was filled by a model for residuals and pictures alone."
+    )
+    return replace(
+        joint,
+        choices=(joint.choices[0], choice, *said, *joint.choices[1:]),
+        warnings=(warning, *dead, *warnings, *joint.warnings),
+    )
 
 
 def _early(setups: Sequence[_SetUp], results: Sequence[Identification], n_inputs: int) -> list[int]:
@@ -137,26 +144,23 @@ def _early(setups: Sequence[_SetUp], results: Sequence[Identification], n_inputs
 
 
 def _aligned(
-    records: Sequence[Record],
-    setups: Sequence[_SetUp],
-    results: Sequence[Identification],
-    early: Sequence[int],
-    again: Again,
-) -> tuple[list[Record], list[Identification], tuple[Choice, ...], tuple[str, ...]]:
-    """Records whose inputs act at once and with one gain, and what each set-up gives with them."""
-    aligned, made = list(records), list(results)
+    records: Sequence[Record], setups: Sequence[_SetUp], results: Sequence[Identification]
+) -> tuple[list[Record], list[ModalModel], tuple[Choice, ...], tuple[str, ...]]:
+    """Records whose inputs act at once and with one gain, and what such inputs drive in each set-up."""
+    aligned, modes = list(records), [result.modes for result in results]
     choices: list[str] = []
     warnings: list[str] = []
+    farthest = int(LONGEST_SHARE * min(run.n_samples for result in results for run in result.records))
     for k, one in enumerate(setups):
-        own_early, gains = [early[i] for i in one.inputs], [1.0] * len(one.inputs)
-        delays = [max(0, delay) for delay in results[k].input_delay]
+        found = [max(0, delay) for delay in results[k].input_delay]
+        delays, gains = list(found), [1.0] * len(one.inputs)
         names = [records[0].input_names[i] for i in one.inputs]
         who = _named(records, one)
         for at, i in enumerate(one.inputs):
-            found = _agreement(i, k, setups, made, records[0].output_names)
-            if found is None:
+            agreed = _agreement(i, k, setups, modes, records[0].output_names, farthest=farthest)
+            if agreed is None:
                 continue
-            partner, agreement = found
+            partner, agreement = agreed
             delays[at] = max(0, delays[at] + agreement.delay)
             if abs(np.log(abs(agreement.gain))) > SAME_FREQUENCY * agreement.gain_std or agreement.gain < 0.0:
                 gains[at] = agreement.gain
@@ -176,20 +180,24 @@ def _aligned(
             choices.append(f"{who}: {', '.join(late)}")
         for member, record in zip(one.members, _corrected(records, one, delays, gains), strict=True):
             aligned[member] = record
-        acting = tuple(delay + ahead for delay, ahead in zip(delays, own_early, strict=True))
-        if acting != results[k].input_delay or gains != [1.0] * len(gains):
-            made[k] = again(_own_channels(aligned, one), own_early)
-        else:
-            core = with_input_delay(without_input_delay(results[k].realisation, acting), own_early)
-            made[k] = replace(results[k], realisation=core, input_delay=tuple(own_early))
+        modes[k] = _driven_by_aligned(modes[k], np.subtract(delays, found, dtype=float), np.array(gains))
     if not choices:
-        return aligned, made, (), tuple(warnings)
+        return aligned, modes, (), tuple(warnings)
     choice = Choice(
         what="input delays of set-ups",
         value="; ".join(choices),
         reason="taken out of each set-up's records, so that one model answers all of them",
     )
-    return aligned, made, (choice,), tuple(warnings)
+    return aligned, modes, (choice,), tuple(warnings)
+
+
+def _driven_by_aligned(modes: ModalModel, later: FloatArray, gains: FloatArray) -> ModalModel:
+    """The modes as inputs drive them that act so many samples later and are so many times as large."""
+    driven = tuple(
+        replace(mode, participation=mode.participation * np.exp(mode.pole * modes.dt * later) / gains)
+        for mode in modes.modes
+    )
+    return replace(modes, modes=driven)
 
 
 def _corrected(records: Sequence[Record], one: _SetUp, delays: Sequence[int], gains: Sequence[float]) -> list[Record]:
@@ -201,7 +209,13 @@ def _corrected(records: Sequence[Record], one: _SetUp, delays: Sequence[int], ga
 
 
 def _agreement(
-    i: int, k: int, setups: Sequence[_SetUp], results: Sequence[Identification], output_names: Sequence[str]
+    i: int,
+    k: int,
+    setups: Sequence[_SetUp],
+    modes: Sequence[ModalModel],
+    output_names: Sequence[str],
+    *,
+    farthest: int,
 ) -> tuple[int, _Agreement] | None:
     """How input i acts in set-up k against the earlier one with most references; None where there is none."""
     shared = [(len(set(setups[p].outputs) & set(setups[k].outputs)), -p) for p in range(k) if i in setups[p].inputs]
@@ -210,18 +224,17 @@ def _agreement(
     partner = -max(shared)[1]
     references = [o for o in setups[k].outputs if o in setups[partner].outputs]
     quotients, variances, angular = [], [], []
-    for mode in results[k].modes.system:
+    for mode in modes[k].system:
         rows, others = _places(setups[k], references), _places(setups[partner], references)
-        own = _same(mode, rows, results[partner].modes, others)
+        own = _same(mode, rows, modes[partner], others)
         if own is None or mode.kind != "oscillatory" or own.mass_std is None or mode.mass_std is None:
             continue
         here, there = setups[k].inputs.index(i), setups[partner].inputs.index(i)
         quotients.append(mode.shape[rows] * mode.participation[here] / (own.shape[others] * own.participation[there]))
         variances.append(mode.mass_std[rows, here] ** 2 + own.mass_std[others, there] ** 2)
-        angular.append(mode.pole.imag * results[k].modes.dt)
+        angular.append(mode.pole.imag * modes[k].dt)
     if not quotients:
         return None
-    farthest = int(LONGEST_SHARE * min(run.n_samples for run in results[k].records))
     delay, sign, level, spread = delay_between(
         np.array(quotients), np.array(variances), np.array(angular), longest=farthest
     )
@@ -274,40 +287,11 @@ def _own_channels(records: Sequence[Record], one: _SetUp) -> list[Record]:
     return [records[i].select(inputs=one.inputs, outputs=one.outputs) for i in one.members]
 
 
-def _completed(record: Record, own: _SetUp, setups: Sequence[_SetUp], results: Sequence[Identification]) -> Record:
-    """The record with every absent output simulated by a model that has it, the one with most outputs in common."""
-    outputs = np.array(record.outputs)
-    left = set(range(record.n_outputs)) - set(own.outputs)
-    alike = sorted(range(len(setups)), key=lambda k: -len(set(setups[k].outputs) & set(own.outputs)))
-    for k in alike:
-        other = setups[k]
-        wanted = left.intersection(other.outputs)
-        if not wanted or not set(own.inputs) <= set(other.inputs):
-            continue
-        model = results[k].realisation
-        seen = record.select(inputs=other.inputs, outputs=other.outputs)
-        shared = np.isfinite(seen.outputs).any()
-        state = estimate_initial_state(model, seen) if shared else None
-        run = simulate(model, seen, initial_state=state).outputs
-        for o in wanted:
-            outputs[:, o] = run[:, other.outputs.index(o)]
-        left -= wanted
-    return replace(record, outputs=outputs)
-
-
-def _with_joint_deviations(
-    joint: Identification,
-    records: Sequence[Record],
-    setups: Sequence[_SetUp],
-    results: Sequence[Identification],
-    *,
-    said: tuple[Choice, ...],
-    warnings: tuple[str, ...],
-) -> Identification:
-    modes = tuple(_with_deviations(mode, setups, results) for mode in joint.modes)
-    uncertainty = joint.uncertainty
+def _at_means(joint: Identification, setups: Sequence[_SetUp], of_each: Sequence[ModalModel]) -> Identification:
+    """The joint result with its modes at the means of what the set-ups give."""
+    modes = tuple(_at_mean(mode, setups, of_each) for mode in joint.modes)
+    uncertainty, n_outputs = joint.uncertainty, len(joint.modes.output_names)
     if uncertainty is not None:
-        n_outputs = records[0].n_outputs
         shapes = [np.full(n_outputs, np.nan) if mode.shape_std is None else mode.shape_std for mode in modes]
         uncertainty = replace(
             uncertainty,
@@ -316,36 +300,18 @@ def _with_joint_deviations(
             shape_std=np.array(shapes).reshape(len(modes), n_outputs),
             markov_std=np.full(uncertainty.markov_std.shape, np.nan),
         )
-    measured = _measured(records, setups)
-    choice = Choice(
-        what="set-ups",
-        value=f"{len(setups)}: {measured}",
-        reason="outputs that a set-up lacks are simulated by the model of one that has them; deviations are those of "
-        "all set-ups together",
-    )
-    warning = (
-        f"Not every set-up measured every output: {measured}. What is missing was simulated, so fits and "
-        "residuals look better than the measured samples alone allow; intervals are those of all set-ups together."
-    )
-    return replace(
-        joint,
-        modes=replace(joint.modes, modes=modes),
-        uncertainty=uncertainty,
-        choices=(joint.choices[0], choice, *said, *joint.choices[1:]),
-        warnings=(warning, *warnings, *joint.warnings),
-    )
+    warnings = tuple(text for text in joint.warnings if not text.startswith(NOISE_UNKNOWN))
+    return replace(joint, modes=replace(joint.modes, modes=modes), uncertainty=uncertainty, warnings=warnings)
 
 
-def _with_deviations(mode: Mode, setups: Sequence[_SetUp], results: Sequence[Identification]) -> Mode:
+def _at_mean(mode: Mode, setups: Sequence[_SetUp], of_each: Sequence[ModalModel]) -> Mode:
     """A mode of the joint model at the mean of what the set-ups give, by information; its own where none has it.
 
-    Each set-up is fitted with its own noise and the outputs that it has; the joint fit is not, for what is simulated
-    in one set-up by the model of another draws it towards that. The joint participations bring the parts of the shape
-    to one scale.
+    The joint participations bring the parts of the shape to one scale.
     """
     gained, sums = np.zeros(mode.shape.size), np.zeros(mode.shape.size, dtype=np.complex128)
-    pairs = zip(setups, results, strict=True)
-    found = [_same(mode, one.outputs, result.modes, range(len(one.outputs))) for one, result in pairs]
+    pairs = zip(setups, of_each, strict=True)
+    found = [_same(mode, one.outputs, modes, range(len(one.outputs))) for one, modes in pairs]
     for one, own in zip(setups, found, strict=True):
         joint = mode.participation[list(one.inputs)]
         if own is None or own.shape_std is None or not joint.any():

@@ -59,6 +59,8 @@ MUCH_LEFT, TIMES_BETTER = 0.05, 4.0
 each by itself a quarter of that: with four rows an unknown such a model follows noise by a quarter of its power."""
 WHY_TOLD = "something feeds them back, or the inputs move between their samples as only the outputs show"
 MOVED = "the inputs follow the outputs as in a loop, which may move it by several of its deviations"
+NOISE_UNKNOWN = "Noise not understood"
+WHITE_NOISE = "white on the outputs"
 FOLDS_APART = 0.25
 """Spread of the folds' fits above which the record is not of one piece (not stationary, or not linear)."""
 
@@ -180,10 +182,15 @@ def explain_noise(noise: NoiseModel | None, why: str) -> tuple[Choice, ...]:
     """Whether the noise has a model of its own, and why; nothing where it is white or none was tried."""
     if not why:
         return ()
-    value = "white on the outputs"
+    value = WHITE_NOISE
     if noise is not None:
         value = "innovation form" + (f" with {noise.n_noise} states of the noise" if noise.n_noise else "")
     return (Choice(what="noise", value=value, reason=why),)
+
+
+def has_noise_model(result: Identification) -> bool:
+    """Whether the noise of the result has a model of its own."""
+    return any(choice.what == "noise" and choice.value != WHITE_NOISE for choice in result.choices)
 
 
 def explain_filter(a: FloatArray, share: float) -> tuple[Choice, ...]:
@@ -353,12 +360,12 @@ def noise_words(modes: ModalModel, inflation: FloatArray) -> tuple[str, ...]:
     words = []
     if larger:
         words.append(
-            "Noise not understood: what the model leaves makes the deviations of frequency and damping up to "
+            f"{NOISE_UNKNOWN}: what the model leaves makes the deviations of frequency and damping up to "
             f"{max(larger):.1f} times those that white noise of all sensors makes; the larger ones are stated."
         )
     if lost:
         words.append(
-            f"Noise not understood: what the model leaves makes the deviations at {lost} Hz more than "
+            f"{NOISE_UNKNOWN}: what the model leaves makes the deviations at {lost} Hz more than "
             f"{NO_INTERVAL:.0f} times those that white noise of all sensors makes: no interval is given there."
         )
     return tuple(words)

@@ -319,28 +319,6 @@ def with_input_delay(realisation: Realisation, samples: Sequence[int]) -> Realis
     return Realisation(A, B, C, D, model.dt, K=gain, singular_values=model.singular_values, lead=lead)
 
 
-def without_input_delay(realisation: Realisation, samples: Sequence[int]) -> Realisation:
-    """The model of late inputs in one that `with_input_delay` made.
-
-    Example:
-        >>> model = Realisation([[0.5]], [[1.0]], [[2.0]], [[0.0]], 0.01)
-        >>> without_input_delay(with_input_delay(model, [2]), [2]).B.tolist()
-        [[1.0]]
-    """
-    _, early = late_and_early(samples)
-    delays = [d + early for d in samples]
-    order = realisation.order - sum(delays)
-    B, D = np.array(realisation.B[:order]), np.array(realisation.D)
-    first = order
-    for j, d in enumerate(delays):
-        if d:
-            B[:, j], D[:, j] = realisation.A[:order, first], realisation.C[:, first]
-            first += d
-    gain = None if realisation.K is None else realisation.K[:order]
-    A, C, lead = realisation.A[:order, :order], realisation.C[:, :order], realisation.lead - early
-    return Realisation(A, B, C, D, realisation.dt, K=gain, lead=lead)
-
-
 def acting_at_once(modes: ModalModel, samples: Sequence[int]) -> ModalModel:
     """Modes of a model of late inputs, as inputs drive them that act at once where they act early there.
 

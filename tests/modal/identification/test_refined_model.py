@@ -302,6 +302,17 @@ def unlike(rng, truth, sizes, *, roving=False):
     return records
 
 
+def test_records_that_share_some_outputs_are_compared_by_those():
+    """Two loud ones and a quiet one share the first output; what only the loud ones measured is not loud for them."""
+    rng, truth = a_system(11)
+    sizes = np.array([[10, 10, 10], [10, 10, 10], [1, 1, 1]])
+    seen = np.array([[True, True, False], [True, True, False], [True, False, True]])
+    records = unlike(rng, truth, sizes)
+    measured = [np.tile(row, (record.n_samples, 1)) for row, record in zip(seen, records, strict=True)]
+    model = refined_model(records, exact(truth), MOST_STEPS, measured=measured)
+    np.testing.assert_allclose(model.record_scale[:2] / model.record_scale[2], 10.0, rtol=0.15)
+
+
 @pytest.mark.parametrize("n_samples", [3, 4])
 def test_a_stub_of_a_record_that_its_own_state_fits_does_not_outweigh_the_others(n_samples):
     """What is left of few rows, by a level and a state of their own, is no measure of their noise."""

@@ -86,7 +86,7 @@ def test_roving_sensors_give_one_model_with_the_deviations_of_all_set_ups():
     alone = [modal.identify(record, **orders).modes.system for record in records]
     for joint, *own in zip(result.modes.system, *alone, strict=True):
         together = sum(mode.frequency_std**-2 for mode in own) ** -0.5
-        assert joint.frequency_std == pytest.approx(together, rel=0.05)
+        assert 0.8 * together < joint.frequency_std < 1.02 * together  # surer: what y1 shows of a mode is common
         assert (joint.shape_std >= 0).all()
 
 
@@ -209,7 +209,10 @@ def test_blows_at_several_points_under_one_name_are_told():
 
 
 def test_loud_set_ups_do_not_draw_the_shapes_of_quiet_ones():
-    """Forces from 0.5 to 10 and weak modes: a joint fit to simulated outputs gave a MAC of 0.964 here."""
+    """Forces from 0.5 to 10 and weak modes: a joint fit to simulated outputs gave a MAC of 0.964 here.
+
+    Noise of 2 % is what no fit can explain; outputs that were simulated would make it look smaller.
+    """
     rng = np.random.default_rng(90006)
     frequencies = np.sort(rng.uniform(3, 40, 4))
     damping, shapes = np.exp(rng.uniform(np.log(0.004), np.log(0.02), 4)), rng.standard_normal((32, 4)) / np.sqrt(32)
@@ -227,7 +230,9 @@ def test_loud_set_ups_do_not_draw_the_shapes_of_quiet_ones():
         outputs += 0.02 * outputs.std(axis=0) * rng.standard_normal(outputs.shape)
         names = [f"y{sensor}" for sensor in sensors]
         records.append(okid.Record(force, outputs, 0.01, input_names=["force"], output_names=names, name=f"{k}"))
-    modes = modal.identify(okid.join_setups(records), observer_order=32, ridge=0.0, order=8).modes
+    result = modal.identify(okid.join_setups(records), observer_order=32, ridge=0.0, order=8)
+    assert 0.96 < result.fit.cross_validated.min() <= result.fit.cross_validated.max() < 0.983
+    modes = result.modes
     order = [modes.output_names.index(f"y{k}") for k in range(18)]
     for frequency, ratio, shape in zip(frequencies, damping, shapes.T, strict=True):
         mode = min(modes.system, key=lambda one, f=frequency: abs(one.frequency - f))
