@@ -152,7 +152,7 @@ def _widened(mode: Mode, look: _Look, notable: BoolArray) -> Mode:
         frequency_std=float(np.hypot(mode.frequency_std, of_frequency / (2.0 * np.pi))),
         damping_ratio_std=spread,
         damping_resolved=mode.damping_resolved and not (notable[0] and spread > SPREAD * mode.damping_ratio),
-        reason=f"{mode.reason}; it changes {look.how}: {'; '.join(_in_words(look, notable))}",
+        reason=f"{mode.reason}; it changes {look.how}: {' and '.join(_in_words(look, notable))}",
     )
 
 
