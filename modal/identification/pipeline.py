@@ -194,9 +194,8 @@ def identify(
     if has_absent_outputs(several):
 
         def again(parts: Sequence[Record], delays: Sequence[int] | None) -> Identification:
-            own = partial(once, parts, decimation=1, kind=kind, progress=None)
-            if has_absent_outputs(parts):  # no row is whole, and an observer needs some to start from
-                own = partial(own, missing="fill")
+            gaps = "fill" if has_absent_outputs(parts) else missing  # else no row is whole, and no observer starts
+            own = partial(once, parts, decimation=1, kind=kind, progress=None, missing=gaps)
             return _of_one_system(parts, own) if delays is None else own(input_delay=delays)
 
         given = None if isinstance(input_delay, str) else given_input_delay(input_delay, several[0]).samples
