@@ -98,7 +98,7 @@ def test_tables_hold_every_mode_of_every_record(sequential):
 
 
 def test_executors_leave_the_same_bytes(runs, sequential, tmp_path):
-    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as executor:
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as executor:
         modal.identify_batch(str(runs / "*.csv"), tmp_path / "pool", executor=executor, **QUICK)
     with ThreadPoolExecutor(1) as executor:
         files = sorted(runs.iterdir(), reverse=True)
@@ -188,6 +188,7 @@ def test_a_crashing_file_costs_one_file(runs, sequential, tmp_path):
     assert not parts(out)
 
 
+@pytest.mark.slow  # what `test_deaths_concern_one_task` asks of workers alone
 def test_a_worker_that_dies_once_costs_nothing(runs, tmp_path):
     write_run(runs / "crash.csv", 20)
     flag = str(tmp_path / "flag")
