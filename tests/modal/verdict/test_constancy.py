@@ -10,7 +10,6 @@ from modal.identification.pipeline import identify
 from modal.verdict.constancy import unsteady_drive
 from okid.record import Record
 
-
 GIVEN = {"observer_order": 20, "ridge": 0.0, "input_delay": 0, "order": 6}
 """What a search would take about the same, where a test is not about it."""
 
