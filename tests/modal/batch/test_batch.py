@@ -348,6 +348,7 @@ def test_a_full_disk_stops_with_one_sentence_and_keeps_what_is_done(runs, tmp_pa
     assert modal.identify_batch(runs, tmp_path / "out", **QUICK).records.num_rows == 4
 
 
+@pytest.mark.slow  # the first case is what `test_a_full_disk_stops_with_one_sentence_and_keeps_what_is_done` asks
 @pytest.mark.skipif(sys.platform == "win32", reason="the largest size of a file is a limit of Unix")
 def test_a_disk_that_fills_up_for_the_command_is_one_sentence_whenever_it_does(runs, sequential, tmp_path):
     """The system itself refuses: at the first result, or at the last summary when all results are kept."""
