@@ -34,10 +34,11 @@ NEVER_WRONG = {"1dof_displacement": (3013,)}
 """Too weak to be named for certain: a sine of which the records show hardly more than the cubic term."""
 SLOW = {
     "1dof_displacement": (3009, 3010, 3013, *range(3019, 3023)),
-    "1dof_accelerometer": (3004, 3005, 3006, 3007, 3022),
+    "1dof_accelerometer": (3001, 3004, 3005, 3006, 3007, 3022),
     "motor_propeller": (3005, 3010, 3011, 3012, 3017),
     "tank": (3002, 3003, 3004, 3005, 3008, 3010, 3011),
     "3dof_accelerometers": (3002,),
+    "3dof_displacement": (3004,),
     "two_effects": (3004,),
     "none": (3004,),
 }
