@@ -98,7 +98,7 @@ def test_tables_hold_every_mode_of_every_record(sequential):
 
 
 def test_executors_leave_the_same_bytes(runs, sequential, tmp_path):
-    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as executor:
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as executor:
         modal.identify_batch(str(runs / "*.csv"), tmp_path / "pool", executor=executor, **QUICK)
     with ThreadPoolExecutor(1) as executor:
         files = sorted(runs.iterdir(), reverse=True)
@@ -188,6 +188,7 @@ def test_a_crashing_file_costs_one_file(runs, sequential, tmp_path):
     assert not parts(out)
 
 
+@pytest.mark.slow  # what `test_deaths_concern_one_task` asks of workers alone
 def test_a_worker_that_dies_once_costs_nothing(runs, tmp_path):
     write_run(runs / "crash.csv", 20)
     flag = str(tmp_path / "flag")
@@ -347,6 +348,7 @@ def test_a_full_disk_stops_with_one_sentence_and_keeps_what_is_done(runs, tmp_pa
     assert modal.identify_batch(runs, tmp_path / "out", **QUICK).records.num_rows == 4
 
 
+@pytest.mark.slow  # the first case is what `test_a_full_disk_stops_with_one_sentence_and_keeps_what_is_done` asks
 @pytest.mark.skipif(sys.platform == "win32", reason="the largest size of a file is a limit of Unix")
 def test_a_disk_that_fills_up_for_the_command_is_one_sentence_whenever_it_does(runs, sequential, tmp_path):
     """The system itself refuses: at the first result, or at the last summary when all results are kept."""

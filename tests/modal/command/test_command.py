@@ -373,7 +373,7 @@ def test_a_process_stopped_while_it_identifies_leaves_nothing(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGHUP, marks=pytest.mark.slow)])
 def test_a_process_stopped_while_it_writes_leaves_an_old_report_as_it_was(tmp_path, number, identification):
     identification.save(tmp_path / "result.npz")
     old = {f"report.{ending}": f"old {ending}" for ending in ("html", "json")}

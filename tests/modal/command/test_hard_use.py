@@ -51,7 +51,7 @@ CHECK = ("check", "a.csv", "--inputs", "force")
 CHOICES = ("--observer-order", "8", "--ridge", "0", "--order", "2")
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "cp437"])
+@pytest.mark.parametrize("encoding", ["ascii", pytest.param("cp437", marks=pytest.mark.slow)])
 def test_terminals_that_lack_letters_get_plain_ones(data, encoding):
     run = ran(*CHECK, environment={"PYTHONIOENCODING": encoding}, text=False)
     text = run.stdout.decode(encoding)

@@ -266,7 +266,7 @@ def test_a_model_that_escapes_is_refused(records):
         fit(wild, records[0])
 
 
-@pytest.mark.parametrize("k2", [60.0, 150.0])
+@pytest.mark.parametrize("k2", [60.0, pytest.param(150.0, marks=pytest.mark.slow)])
 def test_a_zero_beside_a_cubic_spring_does_not_take_the_place_of_its_square(k2):
     """The two leave hundreds of times the noise of a good circuit, and nearly nothing of the gap."""
     fit, held_out, _ = experiment(

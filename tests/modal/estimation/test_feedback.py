@@ -125,7 +125,7 @@ def smooth_force_record(n_inputs):
     return Record(force[8000::finer], motion[8000::finer], dt), frequency
 
 
-@pytest.mark.parametrize("n_inputs", [1, 2])
+@pytest.mark.parametrize("n_inputs", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_smooth_force_in_open_loop_is_no_feedback(n_inputs):
     record, frequency = smooth_force_record(n_inputs)
     assert feedback_p_value([record]) < FALSE_ALARMS  # outputs do know how the force moves between its samples

@@ -68,7 +68,7 @@ def test_a_long_record_gives_the_modes_and_says_what_was_scored():
     truth = random_system(rng, n_modes=2, n_inputs=1, n_outputs=1, weak_mode=None)
     inputs = random_inputs(rng, 40_000, 1)
     result = identify(
-        Record(inputs, with_noise(rng, simulate(truth, inputs), 0.05), truth.dt), observer_order=60, ridge=0.0
+        Record(inputs, with_noise(rng, simulate(truth, inputs), 0.05), truth.dt), observer_order=60, ridge=0.0, order=4
     )
     np.testing.assert_allclose([mode.frequency for mode in result.modes.system], truth.frequencies, rtol=1e-3)
     assert [choice.value for choice in result.choices if choice.what == "scored rows"] == ["3 stretches, 30000 samples"]

@@ -98,12 +98,12 @@ def test_the_frame_is_integrated_right():
 
 
 def test_a_short_frame_story_finds_storey_play_and_stiffness(tmp_path, monkeypatch, capsys):
-    """Two seconds a record, through the command, with the files."""
+    """A second and a half a record, through the command, with the files."""
     frame, whole = Frame(), loose_joint.study
     found = []
 
     def short(given, rng):
-        found.append(whole(given, rng, n_samples=512))
+        found.append(whole(given, rng, n_samples=300))
         return found[0]
 
     monkeypatch.setattr(loose_joint, "study", short)

@@ -92,7 +92,7 @@ EVEN, ODD = [0, 2, 4], [1, 3, 5]
 @pytest.mark.parametrize("window", ["hann", "unknown"])
 def test_damping_is_not_that_of_the_window(window):
     test = table_of(7, window="hann", n_samples=512)
-    result = modal.identify(given(test, outputs=EVEN, window=window))
+    result = modal.identify(given(test, outputs=EVEN, window=window), order=10)
     found = result.modes.system
     assert len(found) == 5
     for mode, f, d in zip(found, test.true_frequencies, test.true_damping, strict=True):
@@ -107,7 +107,7 @@ def test_lines_left_out_of_a_table_leave_its_window():
     kept = np.random.default_rng(1).random(len(test.frequencies)) < 0.6
     whole = given(test, outputs=EVEN)
     known = {"coherence": whole.coherence[kept], "n_averages": test.n_averages, "window": "hann"}
-    result = modal.identify(FrequencyResponse(whole.response[kept], test.frequencies[kept], **known))
+    result = modal.identify(FrequencyResponse(whole.response[kept], test.frequencies[kept], **known), order=10)
     assert result.response.n_lines == kept.sum()
     assert not result.warnings
     assert len(result.modes.system) == 5
@@ -134,10 +134,12 @@ def test_what_a_window_did_to_lines_on_no_grid_is_not_certain():
     assert any("stepped" in words for words in unknown.warnings)
 
 
-def test_dips_of_the_force_are_no_window():
+@pytest.mark.parametrize("tried", [("hann", "periodic"), pytest.param(response_road.TRIED, marks=pytest.mark.slow)])
+def test_dips_of_the_force_are_no_window(tried, monkeypatch):
     """Where none was stated, whole periods were the most likely, and damping was certain at three times the truth."""
+    monkeypatch.setattr(response_road, "TRIED", tried)
     test = table_of(3, n_samples=512, length=16384, kind="shaker")
-    result = modal.identify(FrequencyResponse(test.response[:, ODD], test.frequencies))
+    result = modal.identify(FrequencyResponse(test.response[:, [1, 3]], test.frequencies))
     assert next(choice.value for choice in result.choices if choice.what == "window") == "hann"
     assert len(result.modes.system) >= 2
     for mode in result.modes.system:
@@ -150,17 +152,21 @@ def identified_chain(seed, **distortion):
 
 
 @pytest.mark.parametrize(
-    ("seed", "distortion", "n_system"),
-    [(2, {"cubic": 0.03}, 3), (2, {"cubic": 0.03, "n_samples": 512}, 3), (1, {"friction": 0.1}, 3), (3, {}, 3)],
-    ids=["cubic", "cubic at 512 lines", "friction", "linear"],
+    ("seed", "distortion"),
+    [
+        pytest.param(2, {"cubic": 0.03, "n_samples": 1024}, marks=pytest.mark.slow),
+        (2, {"cubic": 0.03}),
+        (1, {"friction": 0.1}),
+        (3, {}),
+    ],
 )
-def test_a_structure_that_is_not_linear_is_told_by_its_coherence(seed, distortion, n_system):
+def test_a_structure_that_is_not_linear_is_told_by_its_coherence(seed, distortion):
     """Without a word, a cubic spring made a fourth mode of three, p 0.98; in short blocks one far below the first."""
-    result = identified_chain(seed, **distortion)
+    result = identified_chain(seed, **{"n_samples": 512, **distortion})
     said = [words for words in result.warnings if "what does not follow the inputs" in words]
     assert len(said) == bool(distortion)
     assert all("not linear" in words for words in said)
-    assert len(result.modes.system) <= n_system
+    assert len(result.modes.system) <= 3
 
 
 def stepped_sine(cubic, friction, *, n_lines=250, noise=0.003):
@@ -192,7 +198,7 @@ def test_a_resonance_that_depends_on_its_level_is_told_by_what_is_left_of_it(cub
 
 def test_several_shakers_whose_forces_dip_make_nothing_certain():
     """Dampings of 0.00 and +48 %, ten deviations off, were certain; so was a mode that does not exist."""
-    test = table_of(31, kind="shakers")
+    test = table_of(31, kind="shakers", n_samples=512, length=16384)
     result = modal.identify(given(test, outputs=EVEN))
     assert any("the measured forces fall there" in words for words in result.warnings)
     for mode in result.modes.system:
@@ -208,10 +214,8 @@ def identified_shaker(seed, rounding=0.0):
     return test, modal.identify(FrequencyResponse(test.response * rounded, test.frequencies, **known))
 
 
-OTHER_SHAKERS = [pytest.param(seed, 0.0, marks=pytest.mark.slow) for seed in (341, 342)]
-
-
-@pytest.mark.parametrize(("seed", "rounding"), [(341, 1e-12), *OTHER_SHAKERS])
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "rounding"), [(341, 1e-12), (341, 0.0), (342, 0.0)])
 def test_a_force_that_dips_at_resonances_widens_the_intervals(seed, rounding):
     """Deviations of a force that is white over a resonance are up to twenty times too small.
 
@@ -231,12 +235,24 @@ def test_a_force_that_dips_at_resonances_widens_the_intervals(seed, rounding):
         assert abs(mode.damping_ratio - d) < 4 * mode.damping_ratio_std
 
 
+@pytest.mark.slow
 def test_a_force_that_dips_leaves_the_damping_of_every_mode():
     """The weakest mode had lost all its damping, and another was noise because its order was realised low."""
     test, result = identified_shaker(30003)
     assert len(result.modes.system) == 5
     for mode, d in zip(result.modes.system, test.true_damping, strict=True):
         assert abs(mode.damping_ratio / d - 1) < 0.12
+
+
+def test_every_mode_under_a_force_that_dips_is_certain_and_its_intervals_hold():
+    """The two above in short blocks of three outputs: of a white force deviations are up to nine times too small."""
+    test = table_of(30003, n_samples=512, length=16384, kind="shaker")
+    result = modal.identify(given(test, outputs=ODD))
+    assert any("force dips at the resonances" in text for text in result.warnings)
+    assert all(mode.frequency_std > 0 for mode in result.modes)
+    for mode, f, d in zip(result.modes.system, test.true_frequencies, test.true_damping, strict=True):
+        assert abs(mode.frequency - f) < 4 * mode.frequency_std < 0.05 * f
+        assert abs(mode.damping_ratio - d) < 4 * mode.damping_ratio_std
 
 
 def test_what_reruns_without_dips_lose_is_doubtful_where_its_place_is_known():
@@ -255,14 +271,13 @@ def test_what_reruns_without_dips_lose_is_doubtful_where_its_place_is_known():
 def test_a_white_force_has_no_dips():
     f, damping, shapes = drawn_structure(np.random.default_rng(59), 100.0)
     rng = np.random.default_rng(60)
-    force = rng.standard_normal((65536, 1))
-    outputs = held_response(force, f, damping, shapes, shapes[:1], dt=0.01)
+    force = rng.standard_normal((32768, 1))
+    outputs = held_response(force, f, damping, shapes, shapes[:1], dt=0.01)[:, :3]
     outputs += 0.05 * outputs.std(axis=0) * rng.standard_normal(outputs.shape)
-    response, coherence, n_averages = averaged(force, outputs, "hann", 1024)
-    grid = np.arange(513) * 100.0 / 1024
-    result = modal.identify(
-        FrequencyResponse(response, grid, window="hann", coherence=coherence, n_averages=n_averages)
-    )
+    response, coherence, n_averages = averaged(force, outputs, "hann", 512)
+    grid = np.arange(257) * 100.0 / 512
+    known = {"window": "hann", "coherence": coherence, "n_averages": n_averages}
+    result = modal.identify(FrequencyResponse(response, grid, **known))
     assert not result.warnings
     assert all(mode.frequency_std < 1e-3 * mode.frequency for mode in result.modes.system)
     assert len(result.modes.system) >= 4
@@ -272,8 +287,9 @@ def test_the_low_pass_of_an_analyser_is_no_mode():
     """Its two poles of 71 % damping, one for each reference, were called modes of the system."""
     test = table_of(40000, window="hann", n_samples=512)
     _, filtered = scipy.signal.freqs(*scipy.signal.butter(2, 2 * np.pi * 25, analog=True), 2 * np.pi * test.frequencies)
-    known = {"coherence": test.coherence, "n_averages": test.n_averages, "window": "hann"}
-    modes = modal.identify(FrequencyResponse(test.response * filtered[:, None, None], test.frequencies, **known)).modes
+    known = {"coherence": test.coherence[:, EVEN], "n_averages": test.n_averages, "window": "hann"}
+    seen = test.response[:, EVEN] * filtered[:, None, None]
+    modes = modal.identify(FrequencyResponse(seen, test.frequencies, **known)).modes
     broad = [mode for mode in modes if mode.damping_ratio > 0.5 and mode.verdict != "noise"]
     assert broad
     assert all(mode.verdict == "doubtful" and "modes beyond the lines answer so" in mode.reason for mode in broad)
@@ -291,7 +307,7 @@ def test_no_deviation_is_zero():
 def test_the_demo_comes_back_from_its_responses_in_a_file(tmp_path):
     record = demo_record(np.random.default_rng(5), n_samples=20_000)
     path = write_response(estimate_response(record, n_samples=1024), tmp_path / "frf.uff")
-    result = CliRunner().invoke(app, ["run", str(path), "-o", str(tmp_path / "report")])
+    result = CliRunner().invoke(app, ["run", str(path), "-o", str(tmp_path / "report"), "--order", "12"])
     assert result.exit_code == 0, result.output
     kept = modal.load(tmp_path / "report" / "result.npz")
     np.testing.assert_array_equal(kept.source.response, read_response(path).response)
@@ -380,7 +396,8 @@ def plate_table(seed, *, relative=0.01, last=300.0):
 def test_a_table_of_motion_between_samples_with_noise_like_itself_gives_its_damping():
     """Such noise made a window that leaks the likeliest, and modes beyond the lines poles near the last one."""
     response, lines, f, zeta = plate_table(4)
-    result = modal.identify(FrequencyResponse(response, lines, output_units=["m/s^2"] * 4, input_units=["N"]))
+    table = FrequencyResponse(response, lines, output_units=["m/s^2"] * 4, input_units=["N"])
+    result = modal.identify(table, order=14)
     assert next(one.value for one in result.choices if one.what == "window") == "periodic"
     found = result.modes.system
     assert len(found) == 5
@@ -415,14 +432,14 @@ def test_a_peak_beyond_the_last_line_is_not_certain():
     noise = rng.standard_normal((2, *response.shape))
     response += 0.01 * np.median(np.abs(response)) * (noise[0] + 1j * noise[1])
     table = FrequencyResponse(response[:, :, np.newaxis], lines, window="periodic")
-    modes = modal.identify(table).modes
+    modes = modal.identify(table, order=8).modes
     assert [mode.frequency for mode in modes.system] == pytest.approx([8.0, 17.0, 31.0], rel=1e-3)
     (beyond,) = [mode for mode in modes.modes if mode.frequency > 50.0 and mode.verdict == "doubtful"]
     assert "its peak lies outside the lines" in beyond.reason
     for nothing in (1.0, np.nan):  # the coherence of one average, and that of an empty column
         coherence = np.full(table.response.shape, nothing)
         again = modal.identify(
-            FrequencyResponse(table.response, lines, window="periodic", coherence=coherence, n_averages=30)
+            FrequencyResponse(table.response, lines, window="periodic", coherence=coherence, n_averages=30), order=8
         )
         assert [mode.frequency for mode in again.modes.system] == [mode.frequency for mode in modes.system]
         assert not again.warnings

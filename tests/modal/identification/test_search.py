@@ -230,7 +230,7 @@ def test_rounding_error_chooses_nothing():
 
 def test_the_stages_with_the_chosen_orders_give_what_identify_gives_before_it_refines():
     """Mode 1 of the demo: 1.2 % damping by either road (true 1.22 %)."""
-    record = demo_record(np.random.default_rng(7), n_samples=4000)
+    record = demo_record(np.random.default_rng(7), n_samples=2000)
     result = modal.identify(record, refinement="none", decimation=1, integrators=0, input_delay=0, drift="none")
     choice = modal.choose_orders(record)
     observer = okid.fit_observer(record, order=choice.observer_order, ridge=choice.ridge)

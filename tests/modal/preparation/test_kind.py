@@ -134,7 +134,7 @@ def brief_ringing(decibels, *, hum=0.0):
     return Record([], motion, 0.02)
 
 
-@pytest.mark.parametrize(("decibels", "hum"), [(3.0, 0.0), (6.0, 0.3)])
+@pytest.mark.parametrize(("decibels", "hum"), [pytest.param(3.0, 0.0, marks=pytest.mark.slow), (6.0, 0.3)])
 def test_a_release_that_is_measured_only_for_a_while_gives_its_modes(decibels, hum):
     """It was ambient, its lines "sinusoids of a machine, no mode", and half of its modes were lost."""
     result = identify(brief_ringing(decibels, hum=hum))

@@ -66,7 +66,7 @@ def lead_of(record):
     return -delay
 
 
-@pytest.mark.parametrize("above", [False, True])
+@pytest.mark.parametrize("above", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_force_that_moves_between_its_samples_is_looked_at_ahead_and_all_modes_are_right(above):
     record, gains = band_limited(1, above=above, n_rows=3000)
     result = modal.identify(record)

@@ -35,7 +35,7 @@ def test_rest_is_put_in_front(at, noise):
     np.testing.assert_allclose(record.outputs[n_rest + at :][:1000, 0], answer, atol=5 * noise + 1e-4)
 
 
-@pytest.mark.parametrize("at", [1, 2, 4])
+@pytest.mark.parametrize("at", [1, pytest.param(2, marks=pytest.mark.slow), 4])
 def test_a_few_rows_of_noise_are_rest(at):
     """One value of noise in twenty is beyond two deviations: a tenth of all records with a blow in row 1 or 2."""
     resting = [with_rest([struck(at, noise=0.03, seed=seed)]).n_rest[0] > 0 for seed in range(300)]

@@ -158,7 +158,7 @@ def test_sums_and_differences_that_clipping_makes_are_no_modes():
     outputs = np.column_stack([values / values.std() for values in each]) @ shapes
     outputs += 0.01 * outputs.std(axis=0) * rng.standard_normal(outputs.shape)
     limits = 2.5 * outputs.std(axis=0)
-    result = identify(Record([], np.clip(outputs, -limits, limits), 0.01))
+    result = identify(Record([], np.clip(outputs, -limits, limits), 0.01), observer_order=30, ridge=1e-3, order=20)
     found = [mode.frequency for mode in result.modes.system]
     assert len(found) == 4
     assert all(np.abs(frequencies - one).min() < 0.01 * one for one in found)

@@ -81,12 +81,13 @@ for number in range(int(sys.argv[3]), 10**6):
 
 
 @LINUX
-def test_killed_at_any_time_the_folder_is_the_old_or_the_new_one_whole(tmp_path):
+@pytest.mark.parametrize("n_kills", [3, pytest.param(12, marks=pytest.mark.slow)])
+def test_killed_at_any_time_the_folder_is_the_old_or_the_new_one_whole(tmp_path, n_kills):
     target, rng = tmp_path / "out", random.Random(3)  # noqa: S311 - no secret
     write_folder(target, NAMES, writes("0"), existing="refuse")
     (target / "notes.md").write_text("mine", encoding="utf-8")
     seen = set()
-    for start in range(1, 7):
+    for start in range(1, n_kills + 1):
         command = [sys.executable, "-c", WRITER, str(target), " ".join(NAMES), str(1000 * start)]
         with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
             process.stdout.readline()
@@ -97,7 +98,7 @@ def test_killed_at_any_time_the_folder_is_the_old_or_the_new_one_whole(tmp_path)
         assert found.keys() == set(NAMES)
         assert len(set(found.values())) == 1
         seen |= set(found.values())
-    assert len(seen) == 6
+    assert len(seen) == n_kills
     write_folder(target, NAMES, writes("last"), existing="replace")
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 

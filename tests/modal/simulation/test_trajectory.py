@@ -293,7 +293,7 @@ def test_an_accelerometer_on_a_mass_that_sticks_reads_what_holds_it(upsampling):
 
 
 @pytest.mark.parametrize("start", ["far", "near"])
-@pytest.mark.parametrize("softening", [-3e3, -3e4, -3e5])
+@pytest.mark.parametrize("softening", [-3e3, *(pytest.param(one, marks=pytest.mark.slow) for one in (-3e4, -3e5))])
 def test_a_motion_that_escapes_beside_a_law_with_memory_is_no_simulation(start, softening):
     plant = two_masses()
     drive = drive_of(some_records(plant, lengths=(900,), levels=(30.0,), missing=0.0))

@@ -12,11 +12,14 @@ from modal.verdict.constancy import unsteady_drive, with_changes
 from okid.record import Record
 
 DT = 0.01
+GIVEN = {"observer_order": 20, "ridge": 0.0, "input_delay": 0, "order": 6}
+"""What a search would take about the same, where a test is not about it."""
 
 
 def warnings_of(family, seed):
     made = FAMILIES[family](seed)
-    return [words for words in identify(Record(made.inputs, made.outputs, made.dt)).warnings if "changes" in words]
+    result = identify(Record(made.inputs, made.outputs, made.dt), **GIVEN)
+    return [words for words in result.warnings if "changes" in words]
 
 
 def one_mode(frequency, damping_ratio):
@@ -97,7 +100,7 @@ def test_a_stiffness_that_falls_or_rises_is_said_so():
     assert 0.0 < late - early < 0.03 * 8.0
 
 
-@pytest.mark.parametrize("seed", [100, 106, 112])
+@pytest.mark.parametrize("seed", [100, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (106, 112))])
 def test_a_mode_that_drifts_is_one_mode_and_no_noise(seed):
     """States of the noise had made it doubtful, at 7.96 Hz, without a word, or two modes, 7.95 and 8.07 or 8.1 Hz."""
     made = FAMILIES["drifting_stiffness"](seed)
@@ -122,7 +125,7 @@ def test_a_sweep_passes_a_mode_once_and_tells_no_change(seed):
     hidden = 0.3 * rng.standard_normal(n)
     y = dlsim((system.A, system.B, system.C, system.D, system.dt), np.column_stack([swept, hidden]))[1]
     y += 0.02 * y.std(axis=0) * rng.standard_normal(y.shape)
-    result = identify(Record(swept, y, system.dt), kind="driven")
+    result = identify(Record(swept, y, system.dt), kind="driven", **GIVEN)
     assert len(result.modes.system) >= 2
     assert not [words for words in result.warnings if "changes" in words]
 

@@ -38,7 +38,7 @@ def test_what_rings_between_the_tones_is_a_mode():
     assert called(made, result) == made.frequencies.size == len(result.modes.system)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_noise_as_large_as_the_motion_takes_no_mode_away(seed):
     made, result = identified("low_fit", seed, n_samples=4000)
     assert result.fit.mean < 0.5

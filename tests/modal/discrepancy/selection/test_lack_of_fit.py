@@ -318,7 +318,7 @@ NO_SPRINGS = [key for key in CATALOGUE if not key.endswith(("stiffness", "spring
         # a gap spring leaves nothing that a test sees, and 3.8 floors on the records to fit
         ("quintic", 14010, []),
         # near rest no spline is |x|^1.5: the band must hold what the tests overlook
-        ("power_spring", 67203, NO_SPRINGS),
+        pytest.param("power_spring", 67203, NO_SPRINGS, marks=pytest.mark.slow),
         # a cubic and a gap spring are as likely, and leave an eighth of the gap spring's force
         ("sinh", 21004, []),
         # 9 points leave 24 floors of 700, more points hardly any

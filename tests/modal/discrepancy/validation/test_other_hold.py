@@ -101,7 +101,7 @@ def test_a_hold_that_leaves_less_than_any_effect_is_taken_back_too():
     assert hold_words(replace(diagnosis, lack_of_fit=(left,))).startswith("Check the hold")
 
 
-def driven_frame(delay, *, fine=8, n=1500, dt=0.01, level=(4.0, 15.0, 8.0)):
+def driven_frame(delay, *, fine=8, n=700, dt=0.01, level=(4.0, 15.0, 8.0)):
     """Two masses, a cubic spring between them, a force below 9 Hz; held between samples (delay None) or late by a time.
 
     A late force is the band-limited one itself, followed at `fine` steps a sample by the reference integrator.

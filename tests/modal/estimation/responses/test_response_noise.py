@@ -96,7 +96,9 @@ def test_deviations_of_shapes_and_masses_are_how_far_repeated_tests_scatter():
         assert (ratios < 1.7).all()
 
 
-@pytest.mark.parametrize(("overlap", "share"), [(None, 0.5), (0.0, 0.0), (0.75, 0.75)])
+@pytest.mark.parametrize(
+    ("overlap", "share"), [(None, 0.5), (0.0, 0.0), pytest.param(0.75, 0.75, marks=pytest.mark.slow)]
+)
 def test_deviations_are_those_of_blocks_that_overlap(overlap, share):
     """What one block lacks of an answer the next one has: damping is told twice as well with half overlap, not 1.4."""
     f, damping, shape, n = np.array([20.3]), np.array([0.003]), np.array([1.0, 0.6]), 256
