@@ -14,7 +14,18 @@ from modal.modes.mode import Mode
 from modal.verdict.judgement import DOUBTED, FOUND_AGAIN, LEAST_PART, SYSTEM_FROM
 from modal.verdict.probability import SPREAD
 from modal.verdict.ring_down import RINGS
-from modal.wording.text import GOOD_FIT, LEAST_FIT, MOST_NAMED, NONLINEAR, WITH_LEVEL, counted, hertz, listed, shorten
+from modal.wording.text import (
+    GOOD_FIT,
+    IN_TIME,
+    LEAST_FIT,
+    MOST_NAMED,
+    NONLINEAR,
+    WITH_LEVEL,
+    counted,
+    hertz,
+    listed,
+    shorten,
+)
 from okid.errors import visible
 
 if TYPE_CHECKING:
@@ -87,6 +98,8 @@ def _for_the_damping(result: Identification) -> tuple[str, ...]:
     more = " and others" if len(unresolved) > MOST_NAMED else ""
     if any(words.startswith(NONLINEAR) or WITH_LEVEL in words for words in result.warnings):
         return (f"For the damping at {which} Hz{more} keep to one level of motion: each has its own.",)
+    if any(f" changes {IN_TIME}" in words for words in result.warnings):
+        return (f"For the damping at {which} Hz{more} identify early and late parts by themselves: each has its own.",)
     if times > MOST_TIMES:
         return (f"For the damping at {which} Hz{more} drive harder there or measure it better, not only longer.",)
     amount = {"response": "as many averages", "decay": "as many decays", "transient": "as many blows"}

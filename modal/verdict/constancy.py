@@ -16,6 +16,7 @@ sum has so many times the variance that independent ones have (an Ornstein-Uhlen
 
     (L / m) / (L / m - 1 + exp(-L / m)),        m = 1 / (2 decay rate)
 
+or (1 + r) / (1 - r) times, where neighbouring blocks are alike by r and that is more: waves are, and slow drifts.
 Where the ends differ notably, no interval about their mean is one of the pole: its deviation holds both.
 
 What rings down and is not quite linear shows products of its modes, x_i x_j and x_i x_j x_k or their conjugates: these
@@ -37,8 +38,8 @@ from era.state_recursion import PoleRecursion
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel, Mode, Uncertainty
 from modal.verdict.probability import SPREAD
-from modal.wording.text import WITH_LEVEL, hertz, percent
-from okid.arrays import BoolArray, FloatArray
+from modal.wording.text import IN_TIME, NINETY_FIVE, WITH_LEVEL, hertz, percent
+from okid.arrays import TINY, BoolArray, FloatArray
 from okid.record import Record
 
 N_BLOCKS, LEAST_BLOCKS = 60, 8
@@ -59,7 +60,8 @@ within it, and chance does over a hundred samples."""
 
 LEAST_LEFT = 1e-6
 """Take what a line leaves of a block for nothing below this share: the block alone has drawn the line."""
-IN_TIME = "during the record"
+ALIKE = 0.9
+"""Take neighbouring blocks for alike by no more: beyond, sixty tell nothing."""
 QUARTILES = (0.25, 0.75)
 """Compare the mode at these shares of the time."""
 
@@ -91,8 +93,9 @@ class _Look:
 
     def notable(self, n_looks: int) -> BoolArray:
         """(2,) whether decay rate and frequency change notably, and beyond chance for so many lines."""
-        beyond = self.chance < CHANCE / (2 * n_looks)
-        return np.asarray(beyond & (np.abs(np.diff(self.ends, axis=0)[0]) > -NOTABLE * self.mode.pole.real))
+        beyond, decay = self.chance < CHANCE / (2 * n_looks), -self.mode.pole.real
+        beyond[0] &= np.abs(self.ends[:, 0]).max() < decay  # no step of first order reaches so far
+        return np.asarray(beyond & (np.abs(np.diff(self.ends, axis=0)[0]) > NOTABLE * decay))
 
 
 def drifting_modes(
@@ -144,8 +147,8 @@ def with_changes(
 
 
 def _widened(mode: Mode, look: _Look, notable: BoolArray) -> Mode:
-    """The mode with half of the notable differences in its deviations, and with both ends in its reason."""
-    of_damping, of_frequency = 0.5 * np.abs(np.diff(look.ends, axis=0)[0]) * notable
+    """The mode with intervals that hold both ends of what is notable, and with these in its reason."""
+    of_damping, of_frequency = np.abs(look.ends).max(axis=0) / NINETY_FIVE * notable
     spread = float(np.hypot(mode.damping_ratio_std, of_damping / abs(mode.pole)))
     return replace(
         mode,
@@ -269,10 +272,13 @@ def _ends(blocks: _Blocks, lasting: float) -> tuple[FloatArray, FloatArray, Floa
         each = np.zeros((len(rows), len(fair)))
         for k, weights in enumerate(fair):
             each[:, k] = kept[:, m * k : m * (k + 1)] @ weights
-        variance = lasting * float(np.sum(np.einsum("bi,bi->b", fair, left) ** 2))
+        parts = np.einsum("bi,bi->b", fair, left)
+        power = float(parts @ parts)
+        alike = min(max(0.0, float(parts[1:] @ parts[:-1])) / max(power, TINY), ALIKE)
+        variance = max(lasting, (1.0 + alike) / (1.0 - alike)) * power
         moments = each.T @ each
-        freedom = np.trace(moments) ** 2 / max(float(np.sum(moments**2)), np.finfo(float).tiny)
-        t[i] = (found[N_TOLD + i] - found[i]) / np.sqrt(max(variance, np.finfo(float).tiny))
+        freedom = np.trace(moments) ** 2 / max(float(np.sum(moments**2)), TINY)
+        t[i] = (found[N_TOLD + i] - found[i]) / np.sqrt(max(variance, TINY))
         chance[i] = 2.0 * scipy.special.stdtr(freedom, -abs(t[i]))
     return found.reshape(2, N_TOLD)[:, :2], t, chance
 
@@ -304,8 +310,8 @@ def _sentences(told: Sequence[tuple[_Look, BoolArray]]) -> tuple[str, ...]:
         also = "".join(f"; that at {at}: {words} ({far:.1f})" for at, words, far in others)
         sentences.append(
             f"The mode at {first} changes {how}: about {ends} ({t:.1f} standard deviations apart){also}. One linear "
-            "model is an average of these, and the interval holds both ends; `modal-report gap` tells friction, gaps "
-            "and changing stiffness apart."
+            "model is an average of these, and intervals that are given hold both ends; `modal-report gap` tells "
+            "friction, gaps and changing stiffness apart."
         )
     return tuple(sentences)
 

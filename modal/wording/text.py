@@ -23,9 +23,9 @@ MOST_NAMED = 3
 LEAST_FIT = 0.5
 """Call no mode certain where the cross-validated fit is lower: the model then explains less than it leaves."""
 
-NONLINEAR, WITH_LEVEL = "Something is not linear", "with the level of motion"
-"""Begin the warning so where errors follow powers of the motion, and say so of a mode that changes with it: other
-sentences depend on both."""
+NONLINEAR, WITH_LEVEL, IN_TIME = "Something is not linear", "with the level of motion", "during the record"
+"""Begin the warning so where errors follow powers of the motion, and say so of what changes with it or in time: other
+sentences depend on all three."""
 
 GOOD_FIT = 0.8
 """Say that the model explains the record well from this cross-validated fit on."""
