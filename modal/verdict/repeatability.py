@@ -34,7 +34,7 @@ from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel
 from modal.verdict.excitation import driven_gain
 from modal.verdict.judgement import Change, Rerun, Reruns
-from okid.arrays import TINY, BoolArray, FloatArray
+from okid.arrays import BoolArray, FloatArray
 from okid.errors import NumericalError
 from okid.gram import LagGram, lag_gram, turn_gram
 from okid.least_squares import solve
@@ -84,8 +84,7 @@ def repeat(
         refinement_steps: of the model.
         folds: halves of interleaved "blocks", or every second pair of the "rows".
         refined: the model; rows that take turns hold too little of a short answer for an observer, so each half starts
-            from the model as well and keeps what suits its own rows better, and what another observer or a larger order
-            gives starts from it where it has lost a mode on the way.
+            from the model as well and keeps what suits its own rows better.
         past: samples whose canonical variates the model started from, where it did; its reruns do, too.
         grown: how many modes may be found in what others leave, as some of the model were: reruns start with so many
             less, and find them so again, or from a cut of all: the one that a refinement takes further counts.
@@ -129,20 +128,18 @@ def repeat(
             modes = extract_modes(model)
             gain = _gain(model, modes, records, unseen)
             runs.append(Rerun(label=label, change="data", modes=modes, gain=gain))
-    struck = refined if folds == "rows" else None
     largest = min(decomposition.rank, decomposition.max_order)
     shorter = whole.truncated(min(other_order, observer_order))
     cuts = [_model(shorter, other_ridge, scaling, dt, n) for n in sizes]
     models = [model for model in cuts if model is not None]
     if models:
         label = f"observer order {min(other_order, observer_order)}, ridge {other_ridge:.2g}"
-        modes = extract_modes(_refined(models, again, grown_to=model_order if grown else 0, known=struck))
+        modes = extract_modes(_refined(models, again, grown_to=model_order if grown else 0))
         runs.append(Rerun(label=label, change="observer", modes=modes))
     others = _other_orders(model_order, 2 * largest if grown else largest)
     for n, count in _nearest(model_order, others) if grown else [(n, 1) for n in others]:
         starts = [realise_from(decomposition, min(size, largest)) for size in _starts(n, grown)]
-        known = struck if n >= model_order else None
-        modes = extract_modes(_refined(starts, again, grown_to=n if grown else 0, known=known))
+        modes = extract_modes(_refined(starts, again, grown_to=n if grown else 0))
         change: Change = "lower order" if n < model_order else "higher order"
         runs += count * [Rerun(label=f"order {n}", change=change, modes=modes)]
     return Reruns(
@@ -211,58 +208,30 @@ def _starts(n_states: int, grown: Grown) -> list[int]:
 
 
 def _refined(
-    models: Sequence[Realisation],
-    again: _Refinement,
-    *,
-    held_out: int = NONE,
-    grown_to: int = 0,
-    known: Realisation | None = None,
+    models: Sequence[Realisation], again: _Refinement, *, held_out: int = NONE, grown_to: int = 0
 ) -> Realisation:
     """The best of the models after a few steps on the rows that are not held out, and grown to so many states.
 
     The last as it is without steps, or where none is stable and grows so far; after a blow what is over needs no more.
-    What explains less than a model that is `known`, of no more states, by more than a mode's numbers cost (Schwarz's
-    criterion), has lost its way, so it starts from that.
     """
     best: tuple[RefinementStep, Realisation] | None = None
-    for model in models if again.n_steps else ():
-        last = _best_after_steps(model, again, held_out=held_out, grown_to=grown_to)
-        if last is not None:
-            best = (last, model) if best is None or last.error < best[0].error else best
-    if known is not None and again.n_steps:
-        start = starting_parameters(scaled_model(known, again.scaling), again.data, held_out=held_out)
-        if start is not None and (best is None or _lost_a_mode(best[0], start, again.data)):
-            last = _best_after_steps(known, again, held_out=held_out, grown_to=grown_to)
-            best = best if last is None else (last, known)
-    return models[-1] if best is None else in_units(*best, again.scaling)
-
-
-def _best_after_steps(model: Realisation, again: _Refinement, *, held_out: int, grown_to: int) -> RefinementStep | None:
-    """The model refined and grown; None where it is unstable, or does not grow so far and was not struck."""
-    start = starting_parameters(scaled_model(model, again.scaling), again.data, held_out=held_out)
-    if start is None:
-        return None
     struck = any(block.step > 1 for block in again.data.blocks)
     least = STILL / (n_rows_of(again.data) * again.data.records[0].n_outputs)
-    last = refine(start, again.data, held_out=held_out, n_steps=again.n_steps, least_gain=least)[-1]
-    while last.order < grown_to:
-        larger = with_weak_mode(last, again.data, held_out=held_out, by="blow" if struck else "answer")
-        if larger is None:
-            break
-        last = refine(larger, again.data, held_out=held_out, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
-    if last.order < grown_to and not struck:
-        return None
-    if grown_to:
-        last = refine(last, again.data, held_out=held_out, n_steps=again.n_steps, least_gain=least)[-1]
-    return last
-
-
-def _lost_a_mode(step: RefinementStep, known: RefinementStep, data: OutputError) -> bool:
-    """Whether a model of all rows is less likely than a known one by more than the numbers of a mode cost."""
-    counts = np.sum([there.sum(axis=0) for there in data.counted], axis=0)
-    left = [np.log(np.maximum(one.linear.squared_errors, TINY)) for one in (step, known)]
-    n_numbers = 2 * (data.records[0].n_inputs + data.records[0].n_outputs)
-    return bool(counts @ (left[0] - left[1]) > n_numbers * np.log(counts.sum()))
+    for model in models if again.n_steps else ():
+        start = starting_parameters(scaled_model(model, again.scaling), again.data, held_out=held_out)
+        if start is not None:
+            last = refine(start, again.data, held_out=held_out, n_steps=again.n_steps, least_gain=least)[-1]
+            while last.order < grown_to:
+                larger = with_weak_mode(last, again.data, held_out=held_out, by="blow" if struck else "answer")
+                if larger is None:
+                    break
+                last = refine(larger, again.data, held_out=held_out, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
+            if last.order < grown_to and not struck:
+                continue
+            if grown_to:
+                last = refine(last, again.data, held_out=held_out, n_steps=again.n_steps, least_gain=least)[-1]
+            best = (last, model) if best is None or last.error < best[0].error else best
+    return models[-1] if best is None else in_units(*best, again.scaling)
 
 
 def _gain(

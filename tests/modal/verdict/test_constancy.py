@@ -53,10 +53,9 @@ def test_damping_that_grows_with_the_level_is_told_at_both_and_widens_the_interv
     found = [float(part.split(" % damping")[0].split()[-1]) for part in words.split("about ")[1].split(", ")[:2]]
     assert "with the level of motion" in words
     assert found == pytest.approx([2.0, 3.0], rel=0.05)
-    assert mode.damping_ratio_std == pytest.approx(0.005, rel=0.15)
+    assert 1.96 * mode.damping_ratio_std == pytest.approx(0.005, rel=0.15)
     assert known.damping_ratio_std[0] == mode.damping_ratio_std
     assert known.frequency_std[0] == mode.frequency_std == pytest.approx(1e-3)
-    assert not mode.damping_resolved
     assert "changes with the level of motion" in mode.reason
 
 

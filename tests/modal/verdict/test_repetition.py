@@ -5,7 +5,6 @@ from signals import random_inputs, with_noise
 from systems import initial_state, modal_system, simulate
 
 from era.balanced import decompose, realise
-from era.realisation import Realisation
 from modal.estimation.cross_validation import markov_lags
 from modal.modes.extraction import extract_modes
 from modal.verdict.repeatability import repeat
@@ -109,31 +108,6 @@ def test_the_other_observer_has_the_order_and_the_ridge_of_its_label():
     found = np.array([mode.pole for mode in run.modes])
     # the rerun starts six rows later, as the whole record's observer does
     assert np.abs(found - poles(0.09)).max() < 0.2 * np.abs(found - poles(0.03)).max()
-
-
-def test_a_larger_model_that_lost_a_mode_on_its_way_starts_from_the_model():
-    """Cuts of an observer of a few blows led to errors 80 times those of the model that they were to question."""
-    rng = np.random.default_rng(9)
-    system = modal_system(rng, frequencies=[3.0, 4.0, 5.5, 8.0], damping_ratios=[0.01] * 4, n_inputs=1, n_outputs=2)
-    force = np.zeros((600, 1))
-    force[[20, 300]] = 1.0
-    clean = simulate(system, force)
-    record = Record(force, clean + 0.01 * clean.std(axis=0) * rng.standard_normal(clean.shape), system.dt)
-    other = Record(rng.standard_normal((600, 1)), rng.standard_normal((600, 2)), system.dt)
-    astray = decompose(recover_markov(fit_observer([other], order=20), n_lags=markov_lags(1, 2)), max_order=24)
-    reruns = repeat(
-        [record],
-        observer_order=20,
-        ridge=1e-4,
-        model_order=8,
-        decomposition=astray,
-        refinement_steps=8,
-        folds="rows",
-        refined=Realisation(system.A, system.B, system.C, system.D, system.dt),
-    )
-    (larger,) = [run for run in reruns.runs if run.label == "order 10"]
-    for pole in system.poles:
-        assert min(abs(mode.pole - pole) / abs(pole) for mode in larger.modes) < 1e-3
 
 
 def test_what_grew_is_found_again_in_what_the_others_leave():
