@@ -96,9 +96,10 @@ def _for_the_damping(result: Identification) -> tuple[str, ...]:
     times = math.ceil((max(spreads) / SPREAD) ** 2)
     which = listed([hertz(mode.frequency) for mode in unresolved[:MOST_NAMED]])
     more = " and others" if len(unresolved) > MOST_NAMED else ""
-    if any(words.startswith(NONLINEAR) or WITH_LEVEL in words for words in result.warnings):
+    changes = [mode.reason for mode in unresolved]
+    if any(words.startswith(NONLINEAR) for words in result.warnings) or any(WITH_LEVEL in words for words in changes):
         return (f"For the damping at {which} Hz{more} keep to one level of motion: each has its own.",)
-    if any(f" changes {IN_TIME}" in words for words in result.warnings):
+    if any(IN_TIME in words for words in changes):
         return (f"For the damping at {which} Hz{more} identify early and late parts by themselves: each has its own.",)
     if times > MOST_TIMES:
         return (f"For the damping at {which} Hz{more} drive harder there or measure it better, not only longer.",)

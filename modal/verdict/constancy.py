@@ -79,9 +79,15 @@ DECADES = 2.0
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Look:
-    """A line through the changes of one mode: (2, 2) its ends by decay rate and frequency; (2,) t and chance of both.
+    """The changes of one mode at two ends, in time or over its level.
 
-    `how` and `groups` say over what, and what its ends are.
+    Attributes:
+        mode: that was looked at.
+        how: over what.
+        groups: what the two ends are.
+        ends: (2, 2) changes of decay rate and angular frequency at either end.
+        t: (2,) their differences, by their deviations.
+        chance: (2,) of differences as large.
     """
 
     mode: Mode
@@ -92,7 +98,7 @@ class _Look:
     chance: FloatArray
 
     def notable(self, n_looks: int) -> BoolArray:
-        """(2,) whether decay rate and frequency change notably, and beyond chance for so many lines."""
+        """(2,) whether decay rate and frequency change notably, and beyond chance for so many looks."""
         beyond, decay = self.chance < CHANCE / (2 * n_looks), -self.mode.pole.real
         beyond[0] &= np.abs(self.ends[:, 0]).max() < decay  # no step of first order reaches so far
         return np.asarray(beyond & (np.abs(np.diff(self.ends, axis=0)[0]) > NOTABLE * decay))
@@ -199,7 +205,7 @@ def _blocks(
     output_scale: FloatArray,
     length: int,
 ) -> list[tuple[str, tuple[str, str], _Blocks]]:
-    """Over what, its ends, and the blocks that tell them."""
+    """Over what, its ends, and the blocks that tell them, for time and for the level."""
     dt = runs[0][0].dt
     recursions = [PoleRecursion.of(np.array([pole]), record.n_samples) for record in runs[0]]
     rest = np.zeros(1, dtype=np.complex128)
@@ -211,25 +217,23 @@ def _blocks(
     middle = energy[np.searchsorted(np.cumsum(energy), 0.5 * energy.sum())]
     scores, products = [], []
     for recursion, states, errors in zip(recursions, moved, runs[1], strict=True):
-        there, shape = np.isfinite(errors), 2.0 * mode.shape / output_scale
-        tangents = []
+        answers = []  # of the mode, by decay rate, angular frequency and size: of all rows, then of the high ones
         for part in (states, np.where(np.abs(states) ** 2 > middle, states, 0.0)):
-            slope, size = recursion.run(part, rest)[0][0] * pole * dt, part[0] / -mode.pole.real
-            shaped, size = slope[:, np.newaxis] * shape, (size[:, np.newaxis] * shape).real
-            tangents += [np.where(there, one, 0.0) for one in (shaped.real, -shaped.imag, size)]
-        columns, remainder = np.stack(tangents), np.where(there, errors / output_scale, 0.0)
+            slope = recursion.run(part, rest)[0][0] * pole * dt
+            answers += [slope, 1j * slope, part[0] / -mode.pole.real]
+        shape = 2.0 * mode.shape / output_scale
         for k in range(len(errors) // length):
             rows = slice(k * length, (k + 1) * length)
-            part = columns[:, rows].reshape(len(columns), -1)
-            scores.append(part @ remainder[rows].ravel())
-            products.append(part @ part.T)
+            there, remainder = np.isfinite(errors[rows]), errors[rows] / output_scale
+            columns = np.array([(one[rows, np.newaxis] * shape).real[there] for one in answers])
+            scores.append(columns @ remainder[there])
+            products.append(columns @ columns.T)
     by, each = np.array(scores).reshape(-1, 2 * N_TOLD), np.array(products).reshape(-1, 2 * N_TOLD, 2 * N_TOLD)
     low, high = np.quantile(np.arange(len(by)), QUARTILES) if len(by) else (0.0, 1.0)
     late = ((np.arange(len(by)) - low) / max(high - low, 1.0))[:, np.newaxis, np.newaxis]
     in_time = np.concatenate([(1.0 - late) * np.eye(N_TOLD), late * np.eye(N_TOLD)], axis=2)
-    of_halves = np.kron(
-        np.array([[1.0, 0.0], [-1.0, 1.0]]), np.eye(N_TOLD)
-    )  # all rows by the low, more in the high ones
+    more_where_high = np.array([[1.0, 0.0], [-1.0, 1.0]])  # than in all rows, which have the change of the low ones
+    of_halves = np.kron(more_where_high, np.eye(N_TOLD))
     return [
         (IN_TIME, ("early", "late"), _Blocks(scores=by[:, :N_TOLD], products=each[:, :N_TOLD, :N_TOLD], basis=in_time)),
         (
@@ -287,7 +291,7 @@ def _in_words(look: _Look, notable: BoolArray) -> list[str]:
     """What is notable of the ends."""
     decay, angular = -look.mode.pole.real, abs(look.mode.pole)
     values = (
-        [f"{percent(max(0.0, (decay - delta) / angular))} damping" for delta in look.ends[:, 0]],
+        [f"{percent((decay - delta) / angular)} damping" for delta in look.ends[:, 0]],
         [f"{hertz(look.mode.frequency + delta / (2 * np.pi))} Hz" for delta in look.ends[:, 1]],
     )
     return [

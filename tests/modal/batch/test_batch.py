@@ -98,7 +98,7 @@ def test_tables_hold_every_mode_of_every_record(sequential):
 
 
 def test_executors_leave_the_same_bytes(runs, sequential, tmp_path):
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as executor:
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as executor:
         modal.identify_batch(str(runs / "*.csv"), tmp_path / "pool", executor=executor, **QUICK)
     with ThreadPoolExecutor(1) as executor:
         files = sorted(runs.iterdir(), reverse=True)

@@ -196,9 +196,10 @@ def test_a_resonance_that_depends_on_its_level_is_told_by_what_is_left_of_it(cub
     assert len(result.modes.system) == 2
 
 
-def test_several_shakers_whose_forces_dip_make_nothing_certain():
+@pytest.mark.parametrize("blocks", [{"n_samples": 512, "length": 16384}, pytest.param({}, marks=pytest.mark.slow)])
+def test_several_shakers_whose_forces_dip_make_nothing_certain(blocks):
     """Dampings of 0.00 and +48 %, ten deviations off, were certain; so was a mode that does not exist."""
-    test = table_of(31, kind="shakers", n_samples=512, length=16384)
+    test = table_of(31, kind="shakers", **blocks)
     result = modal.identify(given(test, outputs=EVEN))
     assert any("the measured forces fall there" in words for words in result.warnings)
     for mode in result.modes.system:

@@ -47,6 +47,6 @@ def test_four_threads_give_the_same_results(tmp_path):
 
 def test_processes_of_their_own_give_the_same_bytes():
     records = [record(seed) for seed in range(2)]
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         at_once = [numbers(one) for one in pool.map(identify, records)]
     assert at_once == [numbers(identify(one)) for one in records]

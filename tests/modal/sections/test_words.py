@@ -235,6 +235,22 @@ def test_how_much_longer_to_measure_is_told_from_the_spread_of_the_damping(ident
     assert ("For the damping" in said) == bool(advice)
 
 
+@pytest.mark.parametrize(
+    ("changes", "advice"),
+    [
+        ("with the level of motion", "keep to one level of motion"),
+        ("during the record", "identify early and late parts"),
+    ],
+)
+def test_damping_that_changes_asks_for_no_longer_record(identification, changes, advice):
+    first, *others = identification.modes.modes
+    told = {"damping_resolved": False, "damping_ratio_std": 0.3 * first.damping_ratio}
+    mode = replace(first, reason=f"it changes {changes}: 2 % damping here, 3 % damping there", **told)
+    result = replace(identification, warnings=(), modes=replace(identification.modes, modes=(mode, *others)))
+    (said,) = [words for words in next_sentences(result) if "For the damping" in words]
+    assert advice in said
+
+
 def test_what_a_force_would_add_is_told_where_none_or_too_little_was_measured(identification):
     quiet = replace(identification, warnings=())
     assert "force" not in " ".join(next_sentences(with_fit(quiet, 0.99)))

@@ -69,6 +69,32 @@ def test_a_force_that_was_not_measured_lasts_as_long_as_the_mode_rings_and_chang
     assert accused <= 8  # 3 expected
 
 
+def narrow(rng, n=6000, frequency=2.0, width=0.02):
+    pole = np.exp((2j * np.pi * frequency - 2 * np.pi * width) * DT)
+    return lfilter([1.0], [1.0, -pole], rng.standard_normal(n) + 1j * rng.standard_normal(n)).real
+
+
+def test_waves_that_last_longer_than_the_mode_rings_change_nothing():
+    """Neighbouring blocks are alike then: by the memory of the mode alone every fifth record was accused."""
+    accused = 0
+    for k in range(100):
+        rng = np.random.default_rng((2, k))
+        u, hidden = narrow(rng), narrow(rng)
+        model, known = one_mode(2.0, 0.05)
+        accused += bool(changes(model, known, u, answer(model, u + 0.5 * hidden))[2])
+    assert accused <= 13
+
+
+def test_no_damping_is_told_that_no_step_of_first_order_reaches():
+    """3 % below 14 and 1 % above: beside 3 % throughout the step goes below zero, with four deviations between."""
+    (low,), (high,) = (one_mode(2.0, z)[0].modes for z in (0.03, 0.01))
+    rng = np.random.default_rng((3, 1))
+    u, x = rng.standard_normal(12_000), [0j]
+    for force in u[:-1]:
+        x.append(x[-1] * np.exp((high if abs(x[-1]) > 14.0 else low).pole * DT) + force)
+    assert changes(*one_mode(2.0, 0.03), u, 2 * np.real(x))[2] == ()
+
+
 def test_noise_in_an_input_whose_level_changes_is_no_change_of_the_mode():
     """Quiet parts answer less to what was recorded: the size of the answer is told beside the pole."""
     accused = 0

@@ -30,7 +30,7 @@ def system_near(result, frequency):
 
 def identified(rng, force, outputs, missing):
     holed = np.where(rng.random(outputs.shape) < missing, np.nan, outputs)
-    return modal.identify(Record(force, holed, DT), order=4, **GIVEN)
+    return modal.identify(Record(force, holed, DT))
 
 
 @pytest.mark.parametrize("missing", [0.02, 0.2])
