@@ -226,7 +226,7 @@ def fit(
         array([[100.]])
     """
     chosen = (records,) if isinstance(records, Record) else tuple(records)
-    given, found, problem = _estimated(model, chosen, floor, sensor_kind, catalogue)
+    given, found, problem = _estimated(model, chosen, floor, sensor_kind, catalogue, forces=False)
     spread = covariance(found, problem)
     deviations = np.sqrt(np.maximum(np.diag(spread)[: found.assembly.n_common], 0.0))
     return Fitted(
@@ -344,11 +344,15 @@ def _estimated(
     floor: FloatArray | None,
     sensor_kind: SensorKind | Sequence[SensorKind] | None,
     catalogue: Mapping[str, Effect],
+    *,
+    forces: bool = True,
 ) -> tuple[Given, Estimate, Problem]:
+    """A model fitted to records, `forces` where others than its own effects are to act."""
     given = given_model(model, records, sensor_kind=sensor_kind)
     check_plant(given.plant, given.linear, records)
     variance = noise_floor(records).variance if floor is None else floor
-    drive = drive_of(records, steps_per_sample(given.plant, given.linear, records))
+    steps = steps_per_sample(given.plant, given.linear, records, forces=forces or bool(given.effects))
+    drive = drive_of(records, steps)
     problem = Problem(drive=drive, floor=variance)
     assembly, unknowns = placed_assembly(given.plant, given.linear, given.effects, drive, catalogue)
     start = simulate_at(assembly, unknowns, problem)

@@ -28,7 +28,7 @@ import numpy as np
 from modal.simulation.assembly import Assembly, Unknowns, per_row
 from modal.simulation.drive import Drive, IndexArray
 from modal.simulation.forces import ActingForce, Heard, acting_forces
-from modal.simulation.scheme import Scheme, add_work
+from modal.simulation.scheme import Recursion, Scheme, add_work
 from okid.arrays import FloatArray
 
 
@@ -54,7 +54,7 @@ class OutputDependence:
 
     def outputs(self, states: FloatArray) -> FloatArray:
         """Outputs (n_columns, n_rows, n_outputs) by changes (n_columns, n_times, n) of the states."""
-        at_rows = states[:, self.rows]
+        at_rows = states if len(self.rows) == states.shape[1] else states[:, self.rows]
         found = at_rows[:, :, : self.C.shape[1]] @ self.C.T
         for one, heard in zip(self.acting, self.heard, strict=True):
             if not one.G.any():
@@ -64,7 +64,8 @@ class OutputDependence:
                 following = np.minimum(self.rows + 1, states.shape[1] - 1)
                 force += np.einsum("ckm,mk->ck", states[:, following] @ one.rows.T, heard.by_next[:, self.rows])
             found += force[:, :, None] * one.G
-        return np.asarray(found * self.factors)
+        found *= self.factors
+        return found
 
     def at_once(self, n_all: int) -> FloatArray:
         """(n, n_outputs, n_rows) dependence on the states at the row itself."""
@@ -78,36 +79,42 @@ class OutputDependence:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class StepDependence:
-    """The linearised steps; nothing leads on from the last time of a record.
+    """The linearised steps; those from the last time of a record lead nowhere and mean nothing.
 
     Attributes:
         rows: R (n_coordinates, n), of all forces.
         columns: U (n, n_lines), of all forces.
         back: Q (n_lines, n_coordinates, n_times).
-        transitions: M (n, n, n_times): `transitions[i, j]` is state i one time on by state j.
+        transitions: M (n, n, n_times): `transitions[i, j]` is state i one time on by state j; broadcast over the times
+            where all steps are alike.
+        firsts: Index of the first time of each record, and n_times at the end.
     """
 
     rows: FloatArray
     columns: FloatArray
     back: FloatArray
     transitions: FloatArray
+    firsts: tuple[int, ...]
+
+    def recursion(self) -> Recursion:
+        """What leads from time to time."""
+        return Recursion.of(self.transitions, self.firsts)
 
     def advance(self, forcing: FloatArray) -> FloatArray:
-        """(I - U K1 R)^-1 applied to forcings (n_columns, n_times, n) that stand at the times they lead from."""
+        """(I - U K1 R)^-1 applied to forcings (n_columns, <= n_times, n) that stand at the times they lead from."""
         n_columns, n_times, n = forcing.shape
         if not self.rows.size or not forcing.size:
             return forcing
         seen = (self.rows @ forcing.reshape(-1, n).T).reshape(len(self.rows), n_columns, n_times)
-        lines = np.einsum("rmt,mct->rct", self.back, seen)
+        lines = np.einsum("rmt,mct->rct", self.back[:, :, :n_times], seen)
         return forcing + (lines.reshape(-1, n_columns * n_times).T @ self.columns.T).reshape(forcing.shape)
 
 
 def _step_dependence(
     A: FloatArray,
     acting: tuple[ActingForce, ...],
-    n_times: int,
+    firsts: tuple[int, ...],
     *,
-    lasts: FloatArray,
     correction: FloatArray | None = None,
 ) -> StepDependence:
     """The linearised steps.
@@ -115,28 +122,33 @@ def _step_dependence(
     Args:
         A: (n, n) of the plant, zero for the effects' own states.
         acting: The forces along the trajectory.
-        n_times: Number of times.
-        lasts: (n_times,) 0 at the last time of each record, 1 elsewhere.
-        correction: (n, n, n_times) what an observer adds to A; None for a free run.
+        firsts: Index of the first time of each record, and n_times at the end.
+        correction: (n, n, n_times) what an observer adds to A, (n, n, 1) where that is always the same; None for a free
+            run.
 
     Raises:
         numpy.linalg.LinAlgError: Where a step has no unique end.
     """
-    n = len(A)
+    n, n_times = len(A), firsts[-1]
     if not acting:
         return StepDependence(
             rows=np.zeros((0, n)),
             columns=np.zeros((n, 0)),
             back=np.zeros((0, 0, n_times)),
-            transitions=lasts * (A[:, :, None] if correction is None else A[:, :, None] + correction),
+            transitions=np.broadcast_to(
+                A[:, :, None] if correction is None else A[:, :, None] + correction, (n, n, n_times)
+            ),
+            firsts=firsts,
         )
     rows, columns = np.concatenate([one.rows for one in acting]), np.hstack([one.columns for one in acting])
     sizes = [(one.rows.shape[0], one.columns.shape[1]) for one in acting]
+    leads = np.ones(n_times)
+    leads[np.array(firsts[1:]) - 1] = 0.0
     K1 = np.zeros((columns.shape[1], len(rows), n_times))
     before = np.zeros((columns.shape[1], n, n_times))
     row = line = 0
     for one, (n_rows, n_lines) in zip(acting, sizes, strict=True):
-        K1[line : line + n_lines, row : row + n_rows] = (lasts * one.by_after).transpose(1, 0, 2)
+        K1[line : line + n_lines, row : row + n_rows] = (leads * one.by_after).transpose(1, 0, 2)
         flat = (one.rows.T @ one.by_before.reshape(n_rows, -1)).reshape(n, n_lines, n_times)
         before[line : line + n_lines] = flat.transpose(1, 0, 2)
         row, line = row + n_rows, line + n_lines
@@ -151,7 +163,7 @@ def _step_dependence(
     else:
         lines += _product(back, np.tensordot(rows, whole, axes=(1, 0)))
     transitions = (columns @ lines.reshape(line, -1)).reshape(n, n, n_times) + whole
-    return StepDependence(rows=rows, columns=columns, back=back, transitions=lasts * transitions)
+    return StepDependence(rows=rows, columns=columns, back=back, transitions=transitions, firsts=firsts)
 
 
 def _product(left: FloatArray, right: FloatArray) -> FloatArray:
@@ -263,10 +275,14 @@ def linearise(
     correction = None
     if gain is not None:
         following[drive.rows, :n] += np.where(drive.present, drive.outputs - outputs, 0.0) @ gain.T
-        correction = np.zeros((n_all, n_all, n_times))
-        correction[:n, :, drive.rows] = -np.tensordot(gain, sensors.at_once(n_all) * drive.present.T, axes=(1, 1))
-    A, leading = np.zeros((n_all, n_all)), np.ones(n_times)
-    A[:n, :n], leading[lasts] = scheme.Ad, 0.0
+        if not acting and len(drive.rows) == n_times and drive.present.all() and (factors == factors[0]).all():
+            correction = np.zeros((n_all, n_all, 1))  # the same at all times
+            correction[:n, :n, 0] = -(gain * factors[0]) @ scheme.C
+        else:
+            correction = np.zeros((n_all, n_all, n_times))
+            correction[:n, :, drive.rows] = -np.tensordot(gain, sensors.at_once(n_all) * drive.present.T, axes=(1, 1))
+    A = np.zeros((n_all, n_all))
+    A[:n, :n] = scheme.Ad
     defect, begins = np.empty_like(states), list(drive.firsts[:-1])
     defect[1:] = following[:-1] - states[1:]
     defect[begins] = (unknowns.local[:, list(assembly.initial)] if initial is None else initial) - states[begins]
@@ -274,7 +290,7 @@ def linearise(
         states=states,
         acting=acting,
         heard=heard,
-        steps=_step_dependence(A, acting, n_times, lasts=leading, correction=correction),
+        steps=_step_dependence(A, acting, drive.firsts, correction=correction),
         sensors=sensors,
         free=free,
         outputs=outputs,

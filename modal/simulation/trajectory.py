@@ -9,9 +9,10 @@ exact Jacobian of a free run costs one more solve. Unknowns of each record (init
 for all records, whose recursions do not touch, and split afterwards.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -21,7 +22,7 @@ from modal.simulation.assembly import Assembly, Unknowns, drive_inputs, per_row
 from modal.simulation.drive import Drive
 from modal.simulation.forces import shifted
 from modal.simulation.linearisation import Linearisation, linearise
-from modal.simulation.scheme import Scheme, band_of, solve_band
+from modal.simulation.scheme import Recursion, Scheme
 from okid.arrays import TINY, FloatArray
 
 SHARP = 0.005
@@ -80,7 +81,7 @@ class Trajectory:
     """A simulated trajectory and the model about it."""
 
     linearisation: Linearisation
-    band: FloatArray
+    recursion: Recursion
     drive: Drive
 
     @property
@@ -142,7 +143,7 @@ def simulate_states(
         found = _softened(about, states, smoothing, rise)
     if found is None:
         return None
-    return Trajectory(linearisation=found, band=band_of(found.steps.transitions), drive=driven)
+    return Trajectory(linearisation=found, recursion=found.steps.recursion(), drive=driven)
 
 
 def allowed_rise(assembly: Assembly) -> float:
@@ -256,12 +257,10 @@ def _miss(current: Linearisation) -> float:
 
 def _step(current: Linearisation) -> FloatArray:
     # The step k -> k + 1 is row k of what is led on; a record's initial state arrives unchanged.
-    led = np.zeros((1, *current.defect.shape))
-    led[0, :-1] = current.defect[1:]
-    forcing = np.empty_like(led)
-    forcing[0, 0] = current.defect[0]
-    forcing[0, 1:] = current.steps.advance(led)[0, :-1]
-    return solve_band(band_of(current.steps.transitions), forcing)[0]
+    forcing = current.defect[np.newaxis].copy()
+    if current.acting:
+        forcing[:, 1:] = current.steps.advance(forcing[:, 1:])
+    return current.steps.recursion().solve(forcing)[0]
 
 
 DRIVE_STEP = 1e-6
@@ -325,8 +324,10 @@ def sensitivity(
         gain: Observer gain of the trajectory, or None.
         common: Whether by the effects' common unknowns as well, or by each record's own only.
     """
-    shared = [_linear(assembly, unknowns, trajectory, slope=slope, position=j) for j, slope in enumerate(slopes)]
-    local = [Source(initial=state) for state in range(assembly.plant.n_states)]
+    shared: list[Callable[[], Source]] = [
+        partial(_linear, assembly, unknowns, trajectory, slope=slope, position=j) for j, slope in enumerate(slopes)
+    ]
+    local: list[Callable[[], Source]] = [partial(Source, initial=state) for state in range(assembly.plant.n_states)]
     memory = assembly.plant.n_states
     for i, item in enumerate(assembly.placements):
 
@@ -337,16 +338,17 @@ def sensitivity(
                 return _sensor_parameter(assembly, unknowns, trajectory, i, j)
             return _input_parameter(assembly, unknowns, drive, trajectory, scheme, placement=i, j=j)
 
-        local += [Source(initial=memory + own) for own in range(item.n_memory)]
+        local += [partial(Source, initial=memory + own) for own in range(item.n_memory)]
         memory += item.n_memory
-        local += [by(j) for j in item.local]
+        local += [partial(by, j) for j in item.local]
         if common:
-            shared += [by(j) for j in item.common]
+            shared += [partial(by, j) for j in item.common]
             shared += [
-                _direction(assembly, trajectory, scheme, i, column) for column in range(1, 1 + item.n_directions)
+                partial(_direction, assembly, trajectory, scheme, i, column)
+                for column in range(1, 1 + item.n_directions)
             ]
-    states, outputs = respond(assembly, unknowns, trajectory, [*shared, *local], gain=gain)
-    n = len(shared)
+    n, each = len(shared), (make() for make in (*shared, *local))  # one at a time: a flow is as long as the records
+    states, outputs = respond(assembly, unknowns, trajectory, each, n + len(local), gain=gain)
     return Sensitivity(common=outputs[:n], local=outputs[n:], common_states=states[:n], local_states=states[n:])
 
 
@@ -354,7 +356,8 @@ def respond(
     assembly: Assembly,
     unknowns: Unknowns,
     trajectory: Trajectory,
-    sources: list[Source],
+    sources: Iterable[Source],
+    n_sources: int,
     *,
     gain: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
@@ -365,6 +368,7 @@ def respond(
         unknowns: Values of all unknowns.
         trajectory: The trajectory.
         sources: What is added.
+        n_sources: How many they are.
         gain: Observer gain of the trajectory, or None.
 
     Returns:
@@ -373,27 +377,31 @@ def respond(
     about, drive = trajectory.linearisation, trajectory.drive
     n_times, n_all = about.states.shape
     factors = _factors(assembly, unknowns, drive)
-    direct = np.zeros((len(sources), len(drive.rows), len(about.outputs.T)))
-    led = np.zeros((len(sources), n_times, n_all))
+    direct = np.zeros((n_sources, len(drive.rows), len(about.outputs.T)))
+    forcing, initial = np.zeros((n_sources, n_times, n_all)), np.full(n_sources, -1)
+    led = forcing[:, 1:]  # what stands at the time that it leads from, arrives one later
     for position, source in enumerate(sources):
         if source.outputs is not None:
             direct[position] += factors * source.outputs
         if source.sensed is not None:
             direct[position] += source.sensed
         if source.flow is not None:
-            led[position] = source.flow
+            led[position] = source.flow[:-1]
+        initial[position] = source.initial
     if gain is not None:
         n = assembly.plant.n_states
-        led[:, drive.rows, :n] -= np.where(drive.present, direct, 0.0) @ gain.T
-    lasts = np.array(drive.firsts[1:]) - 1
-    led[:, lasts] = 0.0
-    forcing = np.zeros_like(led)
-    forcing[:, 1:] = about.steps.advance(led)[:, :-1]
-    for position, source in enumerate(sources):
-        if source.initial >= 0:
-            forcing[position, list(drive.firsts[:-1]), source.initial] = 1.0
-    states = solve_band(trajectory.band, forcing)
-    return states, about.sensors.outputs(states) + direct
+        leading = drive.rows < n_times - 1
+        corrected = np.where(drive.present, direct, 0.0)[:, leading] @ gain.T
+        led[:, drive.rows[leading], :n] -= corrected
+    forcing[:, list(drive.firsts[1:-1])] = 0.0
+    if about.acting:
+        led[:] = about.steps.advance(led)
+    begun = np.flatnonzero(initial >= 0)
+    for first in drive.firsts[:-1]:
+        forcing[begun, first, initial[begun]] = 1.0
+    states = trajectory.recursion.solve(forcing)
+    direct += about.sensors.outputs(states)
+    return states, direct
 
 
 def force_response(drive: Drive, scheme: Scheme, column: int, force: FloatArray, n_all: int) -> Source:

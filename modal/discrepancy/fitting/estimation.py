@@ -278,19 +278,8 @@ def estimate(
     """
     current, damping = start, FIRST_DAMPING
     for iteration in range(iterations):
-        slopes = sensitivity_of(current, problem)
-        gram, score = score_equations(current, problem, slopes)
-        better, least = None, standstill * max(current.cost, 1.0)
-        if not (np.isfinite(gram).all() and np.isfinite(score).all()):
-            return current  # along a motion that hardly stays within numbers no step is known
-        for trial in range(TRIALS):
-            step = _step(current, gram, score, damping, free_common=problem.free_common)
-            better = _trial(current, problem, slopes, step)
-            damping = max(damping / 10.0, 1e-9) if better is not None else damping * 10.0
-            promised = 2.0 * score @ step - step @ gram @ step  # negative where a bound cut the step short
-            there = current.level <= FAR_ABOVE and trial == 0 and 0.0 <= promised <= least
-            if better is not None or there or _over(budget):
-                break
+        least = standstill * max(current.cost, 1.0)
+        better, damping = _better(current, problem, damping, least=least, budget=budget)
         if better is None:
             return current
         fall = current.cost - better.cost
@@ -298,6 +287,27 @@ def estimate(
         if fall <= least or _over(budget):
             return current
     return current
+
+
+def _better(
+    current: Estimate, problem: Problem, damping: float, *, least: float, budget: Budget | None
+) -> tuple[Estimate | None, float]:
+    """A better estimate, None where none is found, and the damping to go on with."""
+    slopes = sensitivity_of(current, problem)
+    gram, score = score_equations(current, problem, slopes)
+    if not (np.isfinite(gram).all() and np.isfinite(score).all()):
+        return None, damping  # along a motion that hardly stays within numbers no step is known
+    for trial in range(TRIALS):
+        step = _step(current, gram, score, damping, free_common=problem.free_common)
+        better = _trial(current, problem, slopes, step)
+        if better is not None:
+            return better, max(damping / 10.0, 1e-9)
+        damping *= 10.0
+        promised = 2.0 * score @ step - step @ gram @ step  # negative where a bound cut the step short
+        there = current.level <= FAR_ABOVE and trial == 0 and 0.0 <= promised <= least
+        if there or _over(budget):
+            break
+    return None, damping
 
 
 def _over(budget: Budget | None) -> bool:

@@ -125,7 +125,7 @@ class _Part:
     def responses(self, sources: Sequence[Source]) -> FloatArray:
         """(n_sources, n_rows, n_outputs) of the linearised model."""
         run = self.run
-        return respond(run.assembly, run.unknowns, run.trajectory, list(sources), gain=run.gain)[1]
+        return respond(run.assembly, run.unknowns, run.trajectory, sources, len(sources), gain=run.gain)[1]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

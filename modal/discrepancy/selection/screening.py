@@ -22,7 +22,7 @@ from modal.effects.effect import Effect, ForceEffect, InputEffect, Motion, Senso
 from modal.simulation.assembly import Assembly, EffectPlacement, Unknowns, drive_inputs, initial_unknowns, place_effect
 from modal.simulation.drive import Drive, IndexArray
 from modal.simulation.forces import motion_at
-from modal.simulation.scheme import band_of, solve_band
+from modal.simulation.scheme import Recursion
 from modal.simulation.tolerances import ROUNDING
 from modal.simulation.trajectory import Source, force_response, respond, sensitivity
 from modal.structure.placed import possible_places
@@ -81,7 +81,7 @@ def _solved(
     begin = _taken(motion, np.tile(nodes, n_shapes), np.tile(straight, n_shapes))
     end = _taken(motion, np.tile(nodes[following], n_shapes), np.tile(straight, n_shapes))
     starts = (firsts + n * np.arange(n_shapes)[:, None]).ravel()
-    lasts = np.append(starts[1:], n * n_shapes) - 1
+    edges = np.append(starts, n * n_shapes)
     ahead = (following + n * np.arange(n_shapes)[:, None]).ravel()
     z = np.zeros((n * n_shapes, effect.n_memory))
     found: list[FloatArray | None] = [None] * n_shapes
@@ -90,9 +90,7 @@ def _solved(
         forcing = np.zeros((1, *z.shape))
         forcing[0, 1:] = (step.value - z[ahead])[:-1]
         forcing[0, starts] = -z[starts]
-        transitions = step.by_memory.transpose(1, 2, 0).copy()
-        transitions[:, :, lasts] = 0.0
-        change = solve_band(band_of(transitions), forcing)[0]
+        change = Recursion.of(step.by_memory.transpose(1, 2, 0), tuple(edges.tolist())).solve(forcing)[0]
         z = z + change
         if not np.isfinite(z).all():  # one shape that escapes would take the others along
             one_by_one = [shapes[i : i + 1] for i in range(n_shapes) if found[i] is None]
@@ -317,7 +315,9 @@ def screen_candidates(
     for first in range(0, len(trials), CHUNK):
         part = trials[first : first + CHUNK]
         sources = [source for trial in part for source in trial.sources]
-        _, outputs = respond(current.assembly, current.unknowns, current.trajectory, sources, gain=current.gain)
+        _, outputs = respond(
+            current.assembly, current.unknowns, current.trajectory, sources, len(sources), gain=current.gain
+        )
         columns = (outputs * nuisance.weights).reshape(len(sources), -1)
         projections = nuisance.projected(columns)
         used = 0

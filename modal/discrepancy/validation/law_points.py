@@ -226,7 +226,7 @@ def told_by_sources(fitted: Estimate, problem: Problem, placement: int, sources:
     """What the data say of bins whose hats act as these sources: exact where they act linearly (inputs, sensors)."""
     slopes = derivatives(fitted, problem)
     gram, score = score_equations(fitted, problem, slopes)
-    _, outputs = respond(fitted.assembly, fitted.unknowns, fitted.trajectory, sources, gain=fitted.gain)
+    _, outputs = respond(fitted.assembly, fitted.unknowns, fitted.trajectory, sources, len(sources), gain=fitted.gain)
     weights = weights_along(problem, fitted.trajectory)
     columns = outputs * weights
     flat = columns.reshape(len(columns), -1)

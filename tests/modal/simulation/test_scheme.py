@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modal.simulation.plant import plant_matrices
-from modal.simulation.scheme import band_of, scheme_and_slopes, solve_band
+from modal.simulation.scheme import Recursion, scheme_and_slopes
 
 DT = 0.03
 LINEAR = np.array([95.0, 1.1])
@@ -73,38 +73,48 @@ def test_an_integrator_has_a_flow():
     assert scheme.B0[0, 0] + scheme.B1[0, 0] == pytest.approx(DT**2 / 2)
 
 
-def by_loop(transitions, forcing):
+def by_loop(transitions, forcing, firsts):
     found = np.zeros_like(forcing)
     for column, one in enumerate(forcing):
         state = np.zeros(forcing.shape[2])
         for k, added in enumerate(one):
-            state = (transitions[:, :, k - 1] @ state if k else 0.0) + added
+            state = (0.0 if k in firsts else transitions[:, :, k - 1] @ state) + added
             found[column, k] = state
     return found
 
 
-@settings(max_examples=40, deadline=None)
-@given(n=st.integers(1, 6), n_times=st.integers(1, 40), n_columns=st.integers(1, 4), seed=st.integers(0, 1000))
-def test_it_is_the_recursion(n, n_times, n_columns, seed):
-    rng = np.random.default_rng(seed)
-    transitions = 0.7 * rng.standard_normal((n, n, n_times))
+@settings(max_examples=60, deadline=None)
+@given(
+    sizes=st.tuples(st.integers(1, 12), st.integers(1, 200), st.integers(1, 4)),
+    cut=st.floats(0, 1),
+    steady=st.booleans(),
+    seed=st.integers(0, 1000),
+)
+def test_it_is_the_recursion_of_each_record(sizes, cut, steady, seed):
+    (n, n_times, n_columns), rng = sizes, np.random.default_rng(seed)
+    transitions = rng.standard_normal((n, n, n_times)) / np.sqrt(n)
+    if steady:
+        transitions = np.broadcast_to(transitions[:, :, :1], transitions.shape)
     forcing = rng.standard_normal((n_columns, n_times, n))
-    given_forcing = forcing.copy()
-    found = solve_band(band_of(transitions), forcing)
-    expected = by_loop(transitions, forcing)
+    firsts = (0, *([int(cut * n_times)] if 0 < int(cut * n_times) < n_times else []), n_times)
+    expected = by_loop(transitions, forcing, firsts)
+    found = Recursion.of(transitions, firsts).solve(forcing)
     assert np.allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
-    assert np.array_equal(forcing, given_forcing)
 
 
-def test_zeros_cut_the_recursion():
-    rng = np.random.default_rng(1)
-    transitions, forcing = rng.standard_normal((3, 3, 20)), rng.standard_normal((2, 20, 3))
-    transitions[:, :, 11] = 0.0
-    found = solve_band(band_of(transitions), forcing)
-    assert np.allclose(found[:, 12:], by_loop(transitions[:, :, 12:], forcing[:, 12:]))
+def test_steps_that_are_all_alike_go_on_from_piece_to_piece(monkeypatch):
+    """A record of many pieces of the band that is kept: each goes on where the one before ended."""
+    monkeypatch.setattr("modal.simulation.scheme.BAND_VALUES", 18 * 7)
+    rng = np.random.default_rng(2)
+    transitions = np.broadcast_to(0.5 * rng.standard_normal((3, 3, 1)), (3, 3, 50))
+    forcing = rng.standard_normal((2, 50, 3))
+    recursion = Recursion.of(transitions, (0, 20, 50))
+    assert recursion.band.shape[1] == 3 * 7
+    expected = by_loop(transitions, forcing, (0, 20, 50))
+    assert np.allclose(recursion.solve(forcing), expected, rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize(("n", "n_columns"), [(0, 3), (2, 0), (0, 0)])
+@pytest.mark.parametrize(("n", "n_columns"), [(0, 3), (2, 0), (0, 0), (9, 0)])
 def test_nothing_to_solve(n, n_columns):
-    found = solve_band(band_of(np.zeros((n, n, 5))), np.zeros((n_columns, 5, n)))
+    found = Recursion.of(np.zeros((n, n, 5)), (0, 5)).solve(np.zeros((n_columns, 5, n)))
     assert found.shape == (n_columns, 5, n)

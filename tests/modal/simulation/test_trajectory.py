@@ -484,7 +484,8 @@ def test_the_response_to_a_force_is_that_of_a_linear_simulation():
     whole = Whole(two_masses(), [("sensor_gain", "speed")], gain=0.05)
     force = np.random.default_rng(1).standard_normal(whole.drive.n_times)
     source = force_response(whole.drive, whole.scheme, 1, force, 4)
-    states, outputs = respond(whole.assembly, whole.unknowns, whole.trajectory, [source, Source()], gain=whole.gain)
+    both = [source, Source()]
+    states, outputs = respond(whole.assembly, whole.unknowns, whole.trajectory, both, 2, gain=whole.gain)
     assert not states[1].any()
     assert not outputs[1].any()
     # the same force as a third input
