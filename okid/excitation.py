@@ -71,7 +71,7 @@ def check_excitation(records: Record | Sequence[Record], *, order: int) -> Excit
         >>> check.persistency_order
         2
         >>> print(check.messages[0])
-        the inputs hold too few frequencies: they tell the effects of 2 successive samples apart, and 6 are needed; ...
+        the inputs hold too few frequencies, or leave a part of the band out: they tell the effects of 2 successive ...
     """
     several = as_records(records)
     order = whole_number(order, name="an order of persistent excitation", least=1)
@@ -92,10 +92,10 @@ def check_excitation(records: Record | Sequence[Record], *, order: int) -> Excit
     bands = tuple(_bands(mask, nyquist) for mask in excited)
     shares = np.array([float(mask.mean()) for mask in excited])
     shares.flags.writeable = False
+    collinear = _collinear_messages(several[0].input_names, same_time, scaling)  # no order tells these apart
     messages = [
         *_constant_messages(several[0], scaling),
-        *_order_messages(order, persistency, condition),
-        *_collinear_messages(several[0].input_names, same_time, scaling),
+        *(collinear or _order_messages(order, persistency, condition)),
         *_band_messages(several[0].input_names, shares, bands, nyquist, scaling),
     ]
     return Excitation(
@@ -208,9 +208,9 @@ def _order_messages(order: int, persistency: int, condition: float) -> list[str]
     if persistency < order:
         return [
             (
-                f"the inputs hold too few frequencies: they tell the effects of {persistency} successive "
-                f"sample{'s' * (persistency != 1)} apart, and {order} are needed; drive with more frequencies, or use "
-                "a lower observer order or a ridge."
+                f"the inputs hold too few frequencies, or leave a part of the band out: they tell the effects of "
+                f"{persistency} successive sample{'s' * (persistency != 1)} apart, and {order} are needed; drive with "
+                "more frequencies or over the whole band, or use a lower observer order or a ridge."
             )
         ]
     if condition > _POOR_CONDITION:

@@ -21,6 +21,8 @@ COHERENT = 0.3
 """Multiple coherence from which on an output counts as following the inputs."""
 COHERENT_POWER = 0.9999
 """Share of each output's coherent power that the band must hold: a mode left out moves less than 1 % of any output."""
+COLLINEAR = 1e-9
+"""Add so much of its power to each input before they are told apart: two that are one have no inverse."""
 LENGTHS = (64, 256, 1024)
 """Look at so many rows after each blow: an answer stands out most over as many rows as it takes."""
 NEIGHBOURS = 8
@@ -306,9 +308,9 @@ def _multiple_coherence(spectra: ComplexArray, n_inputs: int, n_averages: int, *
     """
     into, out = slice(0, n_inputs), slice(n_inputs, None)
     input_spectra = spectra[:, into, into]
-    floor = 1e-9 * np.trace(input_spectra, axis1=1, axis2=2).real / n_inputs
     tiny = np.finfo(np.float64).tiny
-    regular = input_spectra + (floor + tiny)[:, np.newaxis, np.newaxis] * np.eye(n_inputs)
+    own = np.einsum("fii->fi", input_spectra).real  # each input's: they have units of their own
+    regular = input_spectra + (COLLINEAR * own + tiny)[:, :, np.newaxis] * np.eye(n_inputs)
     gain = np.linalg.solve(regular, spectra[:, into, out])
     explained = np.einsum("fio,fio->fo", spectra[:, into, out].conj(), gain).real
     power = np.maximum(np.einsum("foo->fo", spectra[:, out, out]).real, tiny)

@@ -199,3 +199,17 @@ def test_a_mode_that_rings_through_the_whole_record_is_not_taken_for_rest():
     outputs = low + high + 0.005 * rng.standard_normal(4000)
     assert coherent_band([Record(inputs, outputs, 0.01)]).upper_frequency > 30.5
     assert coherent_band([Record(inputs, outputs - high, 0.01)]).upper_frequency < 10.0
+
+
+def test_the_units_of_channels_move_no_coherence():
+    """A force in kN beside a shaft's speed in rpm: a floor common to all inputs hid what follows the small one."""
+    rng = np.random.default_rng(5)
+    inputs = rng.standard_normal((4000, 3))
+    outputs = scipy.signal.lfilter([1.0], [1.0, -0.9], inputs @ rng.standard_normal((3, 2)), axis=0)
+    outputs += 0.1 * rng.standard_normal(outputs.shape)
+    units = 2.0 ** np.array([-20, 0, 20, -30, 13])
+    first, second = (
+        coherent_band([Record(inputs * many[:3], outputs * many[3:], 0.01)]) for many in (np.ones(5), units)
+    )
+    np.testing.assert_allclose(first.coherence, second.coherence, atol=1e-12)
+    assert first.reason == second.reason
