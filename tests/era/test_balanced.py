@@ -8,8 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from systems import chain_matrices, markov, modal_system, random_system, structure
 
-from era.balanced import decompose, realise, realise_from
-from era.data_correlation import realise_data_correlation
+from era.balanced import decompose, realise, realise_data_correlation, realise_from
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.markov import MarkovParameters, recover_markov
 from okid.observer import fit_observer

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from systems import markov, modal_system, random_system
 
-from era.balanced import realise
-from era.data_correlation import realise_data_correlation
+from era.balanced import realise, realise_data_correlation
 from modal.modes.extraction import extract_modes
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.markov import MarkovParameters
