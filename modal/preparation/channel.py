@@ -42,9 +42,6 @@ HARDLY = 0.1
 MOSTLY = 0.5
 """Call a larger share of the power, the samples or the lines most of it."""
 
-ROUNDING = 1e-9
-"""Take numbers that are closer, relative to their size, as one number that was rounded twice."""
-
 MOST_ROWS = 1 << 16
 """Look at the first so many rows where more would say the same."""
 

@@ -29,7 +29,7 @@ from modal.recording.figure import RecordingStream, drawable, rr
 from modal.recording.series import StoredRecords, laid_out, row_budget, stored_levels
 from modal.sections.words import data_sentences, modes_headline
 from modal.wording.text import escape_markdown, shorten
-from okid.arrays import ComplexArray, FloatArray
+from okid.arrays import ROUNDED, ComplexArray, FloatArray
 from okid.errors import InsufficientDataError, visible
 from okid.frequency_response import FEWEST_AVERAGES
 from okid.record import Record
@@ -279,7 +279,7 @@ def gather(identification: Identification, quality: DataQuality | None = None) -
             fine = frf(identification.realisation, fine_frequencies)
             fine = np.where(np.isfinite(fine), fine, np.nan)
         quality = quality or check_quality(identification.records)
-    frequencies = quality.frequencies[quality.frequencies <= 0.5 / identification.realisation.dt * (1 + 1e-9)]
+    frequencies = quality.frequencies[quality.frequencies <= 0.5 / identification.realisation.dt * (1 + ROUNDED)]
     return Gathered(
         quality=quality,
         measured=measured,
