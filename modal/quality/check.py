@@ -108,8 +108,7 @@ class ChannelQuality(Displayed):
     @property
     def level(self) -> Level | Literal["good"]:
         """The worst level among the findings; "good" where nothing but notes was found."""
-        levels = {finding.level for finding in self.findings}
-        return "bad" if "bad" in levels else "doubtful" if "doubtful" in levels else "good"
+        return _worst(self.findings)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
@@ -134,8 +133,7 @@ class DataQuality(Displayed):
     @property
     def level(self) -> Level | Literal["good"]:
         """The worst level among the findings; "good" where nothing but notes was found."""
-        levels = {finding.level for finding in self.findings}
-        return "bad" if "bad" in levels else "doubtful" if "doubtful" in levels else "good"
+        return _worst(self.findings)
 
     @property
     def verdict(self) -> str:
@@ -147,6 +145,11 @@ class DataQuality(Displayed):
         if counts["doubtful"]:
             return f"The data have no bad fault, but {_number(counts['doubtful'], 'doubtful point')} to look at."
         return "No fault was found in the data."
+
+
+def _worst(findings: Sequence[Finding]) -> Level | Literal["good"]:
+    levels = {finding.level for finding in findings}
+    return "bad" if "bad" in levels else "doubtful" if "doubtful" in levels else "good"
 
 
 def _number(count: int, what: str) -> str:
