@@ -1,7 +1,6 @@
 """From Markov parameters to a state-space realisation, its simulation and its Kalman gain."""
 
-from era.balanced import decompose, realise, realise_from
-from era.data_correlation import realise_data_correlation
+from era.balanced import decompose, realise, realise_data_correlation, realise_from
 from era.gain import GainEstimate, estimate_gain, gain_from_innovations
 from era.kalman import Forecast, check_innovations, forecast, innovations, kalman_filter
 from era.realisation import HankelFactors, Realisation

@@ -29,7 +29,7 @@ import numpy as np
 import scipy
 
 from era.realisation import Realisation
-from era.simulation import check_channels, estimate_initial_state, simulate
+from era.simulation import check_channels, estimate_initial_state, simulate, spectral_radius
 from era.state_recursion import backward_states, finite_gramian, innovation_run
 from okid.arrays import BoolArray, FloatArray
 from okid.display import Displayed
@@ -168,11 +168,11 @@ def step(A: FloatArray, C: FloatArray, fit: ScoredGain, *, starts: Starts = "fre
     seen = information(A, C, K, weight, length=max(e.shape[0] for e in fit.errors))
     change = inverse_of_information(seen) @ slope @ weight / n_rows
     longest = max(e.shape[0] for e in fit.errors)
-    edge = max(1.0 - MEMORIES / longest, _radius(A), _radius(A - K @ C)) + EDGE
+    edge = max(1.0 - MEMORIES / longest, spectral_radius(A), spectral_radius(A - K @ C)) + EDGE
     share = 1.0
     while share > SMALLEST_SHARE and np.isfinite(change).all():
         gain = K + share * change
-        if _radius(A - gain @ C) < edge:
+        if spectral_radius(A - gain @ C) < edge:
             trial = scored(A, C, gain, fit.parts, weight if starts == "free" else None)
             if trial.log_determinant < fit.log_determinant:
                 return trial
@@ -190,7 +190,7 @@ def settled(
     errors, _ = innovation_run(A, C, gain, part.values, state=part.state)
     if not np.isfinite(errors).all():  # a gain that makes the predictor unstable
         return part, errors
-    radius, length = _radius(A - gain @ C), errors.shape[0]
+    radius, length = spectral_radius(A - gain @ C), errors.shape[0]
     if radius < 1.0:
         length = min(length, 2 * A.shape[0] + int(np.log(FORGOTTEN) / np.log(max(radius, FORGOTTEN))))
     _, slope = backward_states(A, C, gain, errors[:length] @ weight)
@@ -200,10 +200,6 @@ def settled(
     moved = replace(part, state=part.state + push)
     errors[:length], _ = innovation_run(A, C, gain, part.values[:length], state=moved.state)
     return moved, errors
-
-
-def _radius(A: FloatArray) -> float:
-    return float(np.abs(np.linalg.eigvals(A)).max(initial=0.0))
 
 
 def information(A: FloatArray, C: FloatArray, K: FloatArray, weight: FloatArray, *, length: int) -> FloatArray:
@@ -437,7 +433,7 @@ def _likeliest(
         if best is not likeliest:
             reason += "; a likelier gain hangs on starts that nobody can know and was not taken"
     found = _in_units(model, best, active, size, n_rows=n_rows, ratio=ratio, reason=reason)
-    if found.gain.any() and _radius(model.A) < 1.0 <= _radius(model.A - found.gain @ model.C):
+    if found.gain.any() and spectral_radius(model.A) < 1.0 <= spectral_radius(model.A - found.gain @ model.C):
         # states so unequal in size that the predictor's stability is lost to rounding
         return _none(model, rest, "the predictor of greatest likelihood is not stable to rounding")
     return found

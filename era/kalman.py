@@ -36,7 +36,7 @@ from era.gain import information, inverse, left_over, settled
 from era.realisation import Realisation, warn_of_lead
 from era.simulation import acting_inputs, check_channels, predict, unknown_after
 from era.state_recursion import checked_state, run_from
-from okid.arrays import FloatArray, frozen, real_number, whole_number
+from okid.arrays import ROUNDED, FloatArray, frozen, real_number, whole_number
 from okid.display import Displayed
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import Record
@@ -476,8 +476,8 @@ def _chosen(model: Realisation, through: Literal["auto", "filterpy", "recursion"
 def _covariance(values: npt.ArrayLike, size: int, name: str) -> FloatArray:
     matrix = frozen(values, name=name, shape=(size, size))
     largest = float(np.abs(matrix).max(initial=0.0))
-    lopsided = float(np.abs(matrix - matrix.T).max(initial=0.0)) > 1e-9 * largest
-    if lopsided or (size and float(np.linalg.eigvalsh(matrix)[0]) < -1e-9 * largest):
+    lopsided = float(np.abs(matrix - matrix.T).max(initial=0.0)) > ROUNDED * largest
+    if lopsided or (size and float(np.linalg.eigvalsh(matrix)[0]) < -ROUNDED * largest):
         raise InvalidDataError(
             f"{name} must be symmetric without negative eigenvalues, but is not; take it from era.estimate_gain or as "
             "E E' / n of innovations."

@@ -58,7 +58,7 @@ def simulate(realisation: Realisation, record: Record, *, initial_state: FloatAr
     outputs = simulate_array(model.A, model.B, model.C, model.D, inputs, initial_state=initial_state)
     if not np.isfinite(outputs[-1]).all():
         first = int(np.argmin(np.isfinite(outputs).all(axis=1)))
-        radius = _spectral_radius(model.A)
+        radius = spectral_radius(model.A)
         raise NumericalError(
             f"the free run of the model grows beyond all numbers at sample {first}: its largest pole has magnitude "
             f"{radius:.6g}; use a stable model (poles inside the unit circle) or a record of less than {first} samples."
@@ -110,7 +110,7 @@ def predict(realisation: Realisation, record: Record, *, initial_state: FloatArr
     if not (np.isfinite(predicted).all() and np.isfinite(state).all()):
         raise NumericalError(
             f"the one-step prediction grows beyond all numbers: the largest pole of A - K C has magnitude "
-            f"{_spectral_radius(closed):.6g}; use a gain for which it is below 1, for example "
+            f"{spectral_radius(closed):.6g}; use a gain for which it is below 1, for example "
             "era.gain_from_innovations."
         )
     if missing.any():
@@ -167,7 +167,8 @@ def acting_inputs(realisation: Realisation, record: Record) -> tuple[FloatArray,
     return inputs[rows], missing[rows] | beyond
 
 
-def _spectral_radius(A: FloatArray) -> float:
+def spectral_radius(A: FloatArray) -> float:
+    """The largest |pole|; 0 without states."""
     return float(np.abs(np.linalg.eigvals(A)).max(initial=0.0))
 
 
@@ -177,7 +178,7 @@ def unknown_after(missing: BoolArray, A: FloatArray) -> BoolArray:
     A gap in u(k) changes y(k) at once and the state from k + 1 on. A slow pole needs log(1 %) / log(magnitude) samples
     to forget it, a chain of delays as many as there are states.
     """
-    n_samples, order, radius = missing.size, A.shape[0], _spectral_radius(A)
+    n_samples, order, radius = missing.size, A.shape[0], spectral_radius(A)
     memory = order
     if radius >= 1.0:
         memory = n_samples

@@ -48,11 +48,11 @@ if TYPE_CHECKING:
     from modal.quality import check_quality
     from modal.recording import log_diagnosis, log_identification, save_recording
     from modal.report import write_report
-    from modal.structure.elements import Element
     from modal.structure.given import simulate
     from modal.structure.model_file import read_model, write_model
     from modal.structure.plant_model import PlantModel
     from modal.structure.structural_model import StructuralModel
+    from modal.structure.structural_plant import Element
     from modal.tracking import Alarm, Track, Tracks, track
     from modal.tracking.live import LiveEstimate, follow
     from modal.verdict.stabilisation import StabilisationPoint
@@ -125,7 +125,7 @@ _PLACES = {
     "BaseParticipation": "modal.modes.modal_mass",
     "Batch": "modal.batch",
     "Choice": "modal.modes.mode",
-    "Element": "modal.structure.elements",
+    "Element": "modal.structure.structural_plant",
     "Fit": "modal.modes.mode",
     "Geometry": "modal.geometry.sensors",
     "Identification": "modal.identification.result",

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from okid.arrays import BoolArray, FloatArray, whole_number
+from okid.arrays import TINY, BoolArray, FloatArray, whole_number
 from okid.display import Displayed
 from okid.gram import lag_gram
 from okid.record import Record
@@ -14,7 +14,8 @@ from okid.scaling import ChannelScaling, channel_scaling
 
 _SMALLEST_EIGENVALUE = 1e-13
 """Of the Gram matrix, relative to the largest: what double precision can tell from zero."""
-_POOR_CONDITION = 1e4
+POOR_CONDITION = 1e4
+"""Say so where the inputs' regressors have a larger condition number: 80 dB from strongest to weakest direction."""
 _POOR_SHARE = 0.9
 """Below this share of the band the message names the band that is missing."""
 _BRIDGED = 0.01
@@ -213,11 +214,11 @@ def _order_messages(order: int, persistency: int, condition: float) -> list[str]
                 "more frequencies or over the whole band, or use a lower observer order or a ridge."
             )
         ]
-    if condition > _POOR_CONDITION:
+    if condition > POOR_CONDITION:
         return [
             (
                 f"the inputs of {order} successive samples are nearly dependent (condition {condition:.1e}; below "
-                f"{_POOR_CONDITION:.0e} is safe): some of what the inputs do hardly shows; use a ridge, or decimate "
+                f"{POOR_CONDITION:.0e} is safe): some of what the inputs do hardly shows; use a ridge, or decimate "
                 "to the band that is excited."
             )
         ]
@@ -228,7 +229,7 @@ def _collinear_messages(names: Sequence[str], same_time: FloatArray, scaling: Ch
     """Name inputs that are multiples of each other, or that together carry fewer signals than channels."""
     moving = [i for i in range(len(names)) if i not in scaling.constant_inputs]
     messages, paired = [], set()
-    size = np.sqrt(np.maximum(same_time.diagonal(), 1e-300))
+    size = np.sqrt(np.maximum(same_time.diagonal(), TINY))
     for i in moving:
         for j in moving:
             correlation = same_time[i, j] / (size[i] * size[j])

@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from okid.arrays import BoolArray, FloatArray, real_number
+from okid.arrays import TINY, BoolArray, FloatArray, real_number
 from okid.errors import InvalidDataError
 from okid.gram import LagGram
 from okid.record import Record
@@ -325,7 +325,7 @@ def _residual_squares(system: NormalEquations, solution: FloatArray) -> FloatArr
 def _rounding_is_negligible(system: NormalEquations, squares: FloatArray, condition: float) -> bool:
     """Whether cond^2 eps stays far below a coefficient's standard deviation, residual * cond / sqrt(n_rows)."""
     energy = system.outputs.diagonal()
-    relative = float(np.sqrt(np.maximum(squares.diagonal(), 0.0) / np.maximum(energy, 1e-300)).min())
+    relative = float(np.sqrt(np.maximum(squares.diagonal(), 0.0) / np.maximum(energy, TINY)).min())
     rounding = condition * _EPS * np.sqrt(system.gram.n_rows)
     return relative > _CLEAN and rounding <= _NEGLIGIBLE * relative
 

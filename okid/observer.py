@@ -18,14 +18,13 @@ import numpy as np
 from okid.arrays import FloatArray
 from okid.display import Displayed
 from okid.errors import IdentificationWarning, InsufficientDataError
+from okid.excitation import POOR_CONDITION
 from okid.gram import LagGram, chunked_gram, lag_gram
 from okid.least_squares import ObserverCoefficients, RegressionRows, solve
 from okid.record import Record
 from okid.rows import as_records, check_enough_rows, check_rows_left
 from okid.scaling import ChannelScaling, channel_scaling
 
-_POOR_INPUT = 1e4
-"""Condition number of the inputs' regressors from which a fit says so: 80 dB from strongest to weakest direction."""
 _DEPENDENT = 1e4
 """Condition number times relative residual from which the regressors are called dependent. Noise alone, which fills
 every direction that the system leaves empty, gives a product of order ten."""
@@ -203,16 +202,16 @@ def _warn_where_poor(coefficients: ObserverCoefficients, gram: LagGram, record: 
     the usual case, need no second look.
     """
     deficient = coefficients.rank < coefficients.n_parameters
-    if coefficients.condition < _POOR_INPUT and not deficient:
+    if coefficients.condition < POOR_CONDITION and not deficient:
         return
     order = coefficients.order
     remedy = "add a ridge (1e-3), decimate to the band that is excited, lower the order, or excite more frequencies"
     if record.n_inputs:
         inputs = _input_condition(gram, coefficients.ridge)
-        if inputs > _POOR_INPUT:
+        if inputs > POOR_CONDITION:
             warnings.warn(
                 f"the inputs do not excite enough for observer order {order}: their {order + 1} lags have condition "
-                f"number {inputs:.1e} (below {_POOR_INPUT:.0e} is safe), so the Markov parameters are uncertain "
+                f"number {inputs:.1e} (below {POOR_CONDITION:.0e} is safe), so the Markov parameters are uncertain "
                 f"however small the one-step error is; {remedy}.",
                 IdentificationWarning,
                 stacklevel=3,

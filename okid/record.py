@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from okid.arrays import (
+    ROUNDED,
     BoolArray,
     FloatArray,
     any_number,
@@ -394,7 +395,7 @@ class Record(Displayed):
             return otherwise
         if np.isnan(real_number(time)):
             raise InvalidDataError(f"a time must be a number of seconds or None, but is {time!r}.")
-        index = np.ceil((time - self.start_time) / self.dt - 1e-9)
+        index = np.ceil((time - self.start_time) / self.dt - ROUNDED)
         return int(np.clip(index, 0, self.n_samples))
 
     def split(self, *shares: float) -> tuple["Record", ...]:

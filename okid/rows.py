@@ -17,7 +17,7 @@ from typing import Protocol
 
 import numpy as np
 
-from okid.arrays import CHUNK_VALUES, BoolArray, FloatArray, row_chunks, whole_number
+from okid.arrays import CHUNK_VALUES, ROUNDED, BoolArray, FloatArray, row_chunks, whole_number
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 from okid.scaling import ChannelScaling
@@ -49,7 +49,7 @@ def as_records(records: Record | Sequence[Record]) -> tuple[Record, ...]:
                     f"records of one system must have the same {kind.replace('_', ' ')}, but record {number} has "
                     f"{list(have)} where record 0 has {list(want)}; select the common channels in the same order."
                 )
-        if abs(record.dt - first.dt) > 1e-9 * first.dt:
+        if abs(record.dt - first.dt) > ROUNDED * first.dt:
             raise InvalidDataError(
                 f"records of one system must have the same time step, but record {number} has {record.dt:.9g} s where "
                 f"record 0 has {first.dt:.9g} s; resample or decimate one of them."

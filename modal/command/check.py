@@ -16,8 +16,7 @@ from modal.command.options import Dt, Hold, Inputs, Outputs, Records, Traceback,
 from modal.command.run import FileSource, own_warnings, refuse_sources, sizes
 from modal.command.terminal import Screen, listing, number_text, plain, progress_bar, say_beforehand
 from modal.preparation.channel import LEVELS, Finding
-from modal.quality.check import check_quality, expected_check
-from modal.quality.findings import ChannelQuality, DataQuality
+from modal.quality.check import ChannelQuality, DataQuality, check_quality, expected_check
 from modal.wording.text import shorten, whole_percent
 from okid.errors import InvalidDataError
 from okid.readers.guard import complete_file

@@ -28,12 +28,18 @@ from modal.discrepancy.results import Diagnosis, Finding, in_words
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
 from modal.report.discrepancy_writing import DiagnosisFiles, write_diagnosis
-from modal.report.folder import refuse_names, standing
+from modal.report.folder import refuse_names, standing, write_pdf
 from modal.report.pages import hold_text
-from modal.report.pdf import write_pdf
 from modal.sections import discrepancy_words as words
-from modal.sections.discrepancy_stages import Stage, rows_of, stages_of
-from modal.sections.discrepancy_values import effect_text, found_value, interval_text, times_text
+from modal.sections.discrepancy_stages import (
+    Stage,
+    effect_text,
+    found_value,
+    interval_text,
+    rows_of,
+    stages_of,
+    times_text,
+)
 from modal.sections.provenance import Provenance, fingerprints
 from modal.structure.model_file import read_model
 from modal.wording.text import listed

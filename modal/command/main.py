@@ -14,7 +14,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from modal.command import batch, check, diff, gap, run, track, view
+from modal.command import check, gap, many, results, run
 from modal.command.options import complain, spread_files
 from modal.command.stopping import STOPPED, Requests
 from modal.command.terminal import plain_streams
@@ -109,10 +109,10 @@ def _root(
 
 app.command(epilog=run.EXAMPLES)(run.run)
 app.command(epilog=run.DEMO_EXAMPLES)(run.demo)
-app.command(epilog=batch.EXAMPLES)(batch.batch)
+app.command(epilog=many.BATCH_EXAMPLES)(many.batch)
 app.command(epilog=check.EXAMPLES)(check.check)
 app.command(epilog=gap.EXAMPLES)(gap.gap)
-app.command(epilog=diff.EXAMPLES)(diff.diff)
-app.command(epilog=track.EXAMPLES)(track.track)
-app.command(epilog=track.LIVE_EXAMPLES)(track.live)
-app.command(epilog=view.EXAMPLES)(view.view)
+app.command(epilog=results.DIFF_EXAMPLES)(results.diff)
+app.command(epilog=many.TRACK_EXAMPLES)(many.track)
+app.command(epilog=many.LIVE_EXAMPLES)(many.live)
+app.command(epilog=results.VIEW_EXAMPLES)(results.view)

@@ -57,8 +57,7 @@ from modal.preparation.kind import GivenKind
 from modal.quality.check import check_quality
 from modal.recording.live import log_progress, log_records, log_result
 from modal.report import ReportFiles, write_report
-from modal.report.folder import refuse_names, standing
-from modal.report.pdf import NoBrowserError, find_browser, write_pdf
+from modal.report.folder import NoBrowserError, find_browser, refuse_names, standing, write_pdf
 from modal.sections.provenance import Provenance, fingerprints
 from modal.wording.text import shorten
 from okid.errors import IdentificationWarning, InvalidDataError, visible

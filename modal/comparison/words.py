@@ -7,6 +7,7 @@ from modal.comparison.changes import Comparison, ModePair, Unmatched
 from modal.comparison.shifts import Shift
 from modal.modes.mode import Mode
 from modal.wording.text import hertz, shorten
+from okid.arrays import ROUNDED
 from okid.errors import visible
 
 
@@ -105,7 +106,7 @@ def assurance_text(shift: Shift) -> str:
 
 
 def _rounded_down(value: float, digits: int) -> str:
-    return f"{math.floor(value * 10**digits + 1e-9) / 10**digits:.{digits}f}"
+    return f"{math.floor(value * 10**digits + ROUNDED) / 10**digits:.{digits}f}"
 
 
 def verdict_change(pair: ModePair) -> str:

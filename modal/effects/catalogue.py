@@ -15,8 +15,7 @@ from modal.effects.effect import Effect, ForceEffect, InputEffect, Motion, Senso
 from modal.effects.flows import Overflow, PowerLawFlow
 from modal.effects.hysteresis import BoucWenHysteresis, SlackInHysteresis
 from modal.effects.inputs import ActuatorLag, DelayedInput, InputGain, InputSaturation
-from modal.effects.missing_mode import MissingMode
-from modal.effects.outside_forces import ConstantForce, PeriodicDisturbance
+from modal.effects.outside_forces import ConstantForce, MissingMode, PeriodicDisturbance
 from modal.effects.sensors import RecordOffset, SensorBias, SensorGain, SensorLag
 from modal.effects.smooth_law import SmoothDamping, SmoothStiffness
 from modal.effects.springs import (

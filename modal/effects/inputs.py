@@ -145,6 +145,13 @@ class InputSaturation(InputEffect):
 
 LAGS = (0.3, 1.0, 2.0, 4.0, 8.0, 16.0)
 """Start from these lags, in steps: each doubles the phase of the one before."""
+
+
+def lag_starts(situation: Situation) -> tuple[tuple[float, ...], ...]:
+    """Lags that double, up to a hundredth of the longest record."""
+    return tuple((count * situation.dt,) for count in LAGS if count * situation.dt <= 0.01 * situation.longest)
+
+
 FADED = math.log(1e3)
 """Count what a drive was before its record as gone after so many lags: a thousandth of it is left."""
 STEEPEST = 1e-6
@@ -196,8 +203,8 @@ class ActuatorLag(InputEffect):
     reference = "Åström, Murray, Feedback Systems, 2nd ed., 2021"
 
     def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:
-        """Lags that double, up to a hundredth of the longest record."""
-        return tuple((count * situation.dt,) for count in LAGS if count * situation.dt <= 0.01 * situation.longest)
+        """As of every lag."""
+        return lag_starts(situation)
 
     def apply(self, values: Values, start: FloatArray, end: FloatArray, dt: float) -> tuple[FloatArray, FloatArray]:
         """Start and end of the line with the lagging drive's mean and first moment over each step."""

@@ -1,11 +1,31 @@
-"""Forces that no motion changes: a weight or preload, and a sine that nobody measured."""
+"""Forces of what the model has nothing of: a weight or preload, a sine that nobody measured, a mass on a spring.
+
+No motion changes the first two. The third is a tuned absorber, a loose panel, a part on a soft mount: between samples
+the displacement d of the place is taken as the cubic through displacement and velocity at both ends,
+for which the step of (z, z') is exact: the exponential of one 6 x 6 matrix (the absorber driven by a chain of four
+integrators that holds the cubic), once for a set of parameters; its derivatives by frequency and damping are Fréchet
+derivatives of that exponential.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
+import scipy
 
-from modal.effects.effect import N_PEAKS, Force, ForceEffect, Motion, ParameterKind, Situation, Values, memoryless
+from modal.effects.effect import (
+    N_PEAKS,
+    Force,
+    ForceEffect,
+    Memory,
+    Motion,
+    ParameterKind,
+    Situation,
+    Values,
+    memoryless,
+)
+from modal.simulation.tolerances import UNDAMPED_DEVIATION
 from okid.arrays import FloatArray
 
 
@@ -122,3 +142,139 @@ class PeriodicDisturbance(ForceEffect):
         """Amplitude and phase from the weights of sine and cosine; the frequency stays."""
         sine, cosine = float(weights[0]), float(weights[1])
         return float(np.hypot(sine, cosine)), float(values[1]), float(np.arctan2(cosine, sine))
+
+
+RATIOS = (1.0, 0.9, 1.11)
+"""Start from these frequencies, by each peak: an absorber splits the resonance of its host, so its own frequency lies
+between two peaks, and each peak is off by about the root of the mass ratio."""
+
+
+def _flow(frequency: float, damping: float, dt: float) -> tuple[FloatArray, FloatArray]:
+    """The generator (6, 6) of one step in the time s / dt, and its derivatives (2, 6, 6) by frequency and damping.
+
+    The states are (z, z' dt) and the cubic (d, d' dt, d'' dt^2, d''' dt^3).
+    """
+    w = 2.0 * np.pi * frequency * dt
+    generator = np.zeros((6, 6))
+    generator[0, 1] = generator[2, 3] = generator[3, 4] = generator[4, 5] = 1.0
+    generator[1, :4] = -(w**2), -2.0 * damping * w, w**2, 2.0 * damping * w
+    by_shape = np.zeros((2, 6, 6))
+    by_shape[0, 1, :4] = np.array([-2.0 * w, -2.0 * damping, 2.0 * w, 2.0 * damping]) * (2.0 * np.pi * dt)
+    by_shape[1, 1, :4] = 0.0, -2.0 * w, 0.0, 2.0 * w
+    return generator, by_shape
+
+
+@lru_cache(maxsize=64)
+def _step(frequency: float, damping: float, dt: float) -> tuple[FloatArray, FloatArray]:
+    """One step (2, 6) of (z, z') from (z, z', d, d', d after, d' after), and its derivatives (2, 2, 6)."""
+    generator, by_shape = _flow(frequency, damping, dt)
+    cubic = np.array(  # (d, d' dt, d'' dt^2, d''' dt^3) at the start from (d, d' dt) at both ends
+        [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [-6.0, -4.0, 6.0, -2.0], [12.0, 6.0, -12.0, 6.0]]
+    )
+    entry = scipy.linalg.block_diag(np.eye(2), cubic) * np.array([1.0, dt, 1.0, dt, 1.0, dt])
+    leave = np.array([[1.0], [1.0 / dt]])
+    rows = [
+        scipy.linalg.expm(generator),
+        *(scipy.linalg.expm_frechet(generator, e, compute_expm=False) for e in by_shape),
+    ]
+    steps = np.stack([leave * (row[:2] @ entry) for row in rows])
+    return steps[0], steps[1:]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MissingMode(ForceEffect):
+    """A mass on a spring and a damper, hung on the place where the port moves.
+
+    Signature: a resonance splits in two, or a narrow band about one frequency is wrong; the relative gap there is the
+    same at every level (the effect is linear).
+
+    Law: with m = mass_ratio x (mass at the place), w = 2 pi frequency, k = m w^2, c = 2 m damping w, and z the absolute
+    displacement of the hung mass:
+
+        f = k (d - z) + c (d' - z')        z'' = w^2 (d - z) + 2 damping w (d' - z')
+
+    Parameters: mass_ratio [-], frequency [Hz] and damping [-] of the hung mass with its place held; none negative.
+
+    Confused with: a periodic disturbance, where one level only was measured (2 ln L margin 8; three levels 191): a mode
+    scales with the drive. A wrong stiffness of a mode that is in the model moves one resonance, a missing mode adds
+    one. At a node of the structure it does not show at all.
+
+    References:
+        J. Ormondroyd, J. P. Den Hartog, The theory of the dynamic vibration absorber, Transactions of the ASME 50,
+        1928, 9-22.
+    """
+
+    key = "missing_mode"
+    law = "f = k (d - z) + c (d' - z'), m z'' = f"
+    parameters = (
+        ParameterKind(name="mass_ratio", meaning="hung mass by the mass at the place", dimension=(0, 0, 0), lower=0.0),
+        ParameterKind(
+            name="frequency",
+            meaning="frequency of the hung mass with its place held, in Hz",
+            dimension=(0, 0, -1),
+            lower=0.0,
+            role="shape",
+        ),
+        ParameterKind(
+            name="damping",
+            meaning="damping ratio with its place held",
+            dimension=(0, 0, 0),
+            lower=0.0,
+            upper=1.0,
+            role="shape",
+        ),
+    )
+    neutral = (0.0, 1.0, UNDAMPED_DEVIATION)
+    family = "narrow band"
+    signature = "narrow band, same relative size at every level"
+    reference = "Ormondroyd, Den Hartog, Transactions of the ASME 50, 1928, 9-22"
+    like_a_mass = True
+    needs = frozenset({"displacement", "velocity"})
+    acts_at = "mass"
+    n_memory = 2
+
+    def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:
+        """Highest peaks of the residual and a tenth to either side; without any, the mean frequency of the motion."""
+        motion = situation.motion
+        peaks = tuple(peak for peak in situation.residual_frequencies[:N_PEAKS] if peak > 0.0)
+        if not peaks and motion.displacement_scale > 0.0 and motion.velocity_scale > 0.0:
+            peaks = (motion.velocity_scale / (2.0 * np.pi * motion.displacement_scale),)  # Rice: rate of up-crossings
+        return tuple((1.0, ratio * peak, UNDAMPED_DEVIATION) for peak in peaks for ratio in RATIOS)
+
+    def force(self, values: Values, motion: Motion) -> Force:
+        """The force of spring and damper on the place, and its derivatives."""
+        ratio, frequency, damping = values
+        mass = motion.mass
+        w = 2.0 * np.pi * frequency
+        stretch = motion.displacement - motion.memory[:, 0]
+        rate = motion.velocity - motion.memory[:, 1]
+        stiffness = np.zeros(stretch.size) + ratio * mass * w**2
+        damper = np.zeros(stretch.size) + 2.0 * ratio * mass * damping * w
+        by_mass = mass * (w**2 * stretch + 2.0 * damping * w * rate)
+        by_frequency = 4.0 * np.pi * ratio * mass * (w * stretch + damping * rate)
+        by_damping = 2.0 * ratio * mass * w * rate
+        return Force(
+            value=ratio * by_mass,
+            by_displacement=stiffness,
+            by_velocity=damper,
+            by_memory=-np.stack([stiffness, damper], axis=1),
+            by_parameter=np.stack([by_mass, by_frequency, by_damping], axis=1),
+        )
+
+    def advance(self, values: Values, before: Motion, after: Motion, dt: float) -> Memory:
+        """(z, z') one sample on, exact for a displacement that is a cubic between the samples."""
+        step, by_shape = _step(float(values[1]), float(values[2]), dt)
+        drive = np.stack([before.displacement, before.velocity, after.displacement, after.velocity], axis=1)
+        state = np.concatenate([before.memory, drive], axis=1)
+        n_samples = state.shape[0]
+        by_parameter = np.zeros((n_samples, 2, 3))
+        by_parameter[:, :, 1:] = np.einsum("pij,nj->nip", by_shape, state)
+        return Memory(
+            value=state @ step.T,
+            by_memory=np.tile(step[:, :2], (n_samples, 1, 1)),
+            by_displacement_before=np.tile(step[:, 2], (n_samples, 1)),
+            by_velocity_before=np.tile(step[:, 3], (n_samples, 1)),
+            by_displacement_after=np.tile(step[:, 4], (n_samples, 1)),
+            by_velocity_after=np.tile(step[:, 5], (n_samples, 1)),
+            by_parameter=by_parameter,
+        )

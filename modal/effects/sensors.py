@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from modal.effects.effect import Force, Memory, Motion, ParameterKind, SensorEffect, Situation, Values
-from modal.effects.inputs import LAGS, lagged
+from modal.effects.inputs import lag_starts, lagged
 from okid.arrays import FloatArray
 
 
@@ -161,8 +161,8 @@ class SensorLag(SensorEffect):
     n_memory = 1
 
     def starts(self, situation: Situation) -> tuple[tuple[float, ...], ...]:
-        """Lags that double, up to a hundredth of the longest record."""
-        return tuple((count * situation.dt,) for count in LAGS if count * situation.dt <= 0.01 * situation.longest)
+        """As of every lag."""
+        return lag_starts(situation)
 
     def screen_columns(self, values: Values, output: FloatArray, time: FloatArray) -> FloatArray:
         """What the lag takes from the output, (n, 1)."""

@@ -31,8 +31,8 @@ import numpy as np
 from modal.discrepancy.diagnosis import diagnose
 from modal.discrepancy.results import Diagnosis
 from modal.examples.story import parameter, shrinking, tell
-from modal.structure.elements import Element
 from modal.structure.structural_model import StructuralModel
+from modal.structure.structural_plant import Element
 from okid.arrays import FloatArray
 from okid.record import Record
 

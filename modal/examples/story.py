@@ -19,7 +19,7 @@ import scipy
 
 from modal.discrepancy.results import Diagnosis, in_words
 from modal.report.writing import write_report
-from modal.sections.discrepancy_values import step_text
+from modal.sections.discrepancy_stages import step_text
 from modal.wording.text import times_floor_text
 from okid.arrays import FloatArray, frozen
 from okid.errors import IdentificationError, InvalidDataError

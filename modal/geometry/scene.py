@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from modal.geometry.placement import ROTATION, TRANSLATION, Placement, derivatives_of, rows_by_unit, turned
 from modal.modes.mode import Mode
-from okid.arrays import BoolArray, ComplexArray, FloatArray
+from okid.arrays import ROUNDED, BoolArray, ComplexArray, FloatArray
 from okid.readers.units import convert_unit
 
 
@@ -180,7 +180,7 @@ def envelope_of(motion: ComplexArray) -> FloatArray:
     furthest = (motion * np.exp(-1j * phase)[:, np.newaxis]).real
     side = (furthest * motion.real).sum(axis=1)
     sideways = (furthest * motion.imag).sum(axis=1)
-    side = np.where(np.abs(side) > 1e-9 * (motion.real**2 + motion.imag**2).sum(axis=1), side, -sideways)
+    side = np.where(np.abs(side) > ROUNDED * (motion.real**2 + motion.imag**2).sum(axis=1), side, -sideways)
     return np.asarray(np.where(side[:, np.newaxis] < 0, -furthest, furthest) + 0.0, dtype=np.float64)
 
 

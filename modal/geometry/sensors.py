@@ -33,7 +33,7 @@ import numpy as np
 import numpy.typing as npt
 
 from modal.wording.text import shorten
-from okid.arrays import ComplexArray, FloatArray, frozen
+from okid.arrays import ROUNDED, ComplexArray, FloatArray, frozen
 from okid.display import Displayed
 from okid.errors import InvalidDataError, visible
 
@@ -178,7 +178,7 @@ class Motions:
     def directions_seen(self) -> dict[int, int]:
         """Number of directions, 1 to 3, that sensors see at each measured node outside rigid bodies."""
         return {
-            int(block.nodes[0]): int(np.linalg.matrix_rank(block.matrix[0], tol=1e-9))
+            int(block.nodes[0]): int(np.linalg.matrix_rank(block.matrix[0], tol=ROUNDED))
             for block in self.blocks
             if not block.is_body
         }

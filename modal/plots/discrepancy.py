@@ -11,10 +11,14 @@ from modal.plots.histories import mark_moment
 from modal.plots.layout import Chart, Key, grid_of, one_panel, row_of
 from modal.plots.panels import IN_TURN, STYLE, Panel, Role, envelope
 from modal.plots.responses import density_label
-from modal.sections.discrepancy_stages import GapDensity, LevelLine, Row, Stage, gap_density
-from modal.sections.discrepancy_values import (
+from modal.sections.discrepancy_stages import (
     NAMED_WITHIN,
+    GapDensity,
+    LevelLine,
+    Row,
+    Stage,
     effect_text,
+    gap_density,
     hypothesis_text,
     law_against,
     law_gives,

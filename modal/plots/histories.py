@@ -10,6 +10,7 @@ from modal.plots.layout import INCH, Chart, Key, grid_of, one_panel
 from modal.plots.panels import IN_TURN, STYLE, Panel, Role, envelope
 from modal.wording.text import fit_text, hertz, plot_label
 from okid.arrays import FloatArray
+from okid.readers.table import DAY
 from okid.record import Record
 from okid.residuals import ResidualCheck
 
@@ -103,7 +104,7 @@ def _strongest(record: Record, detail: float | None) -> slice:
 
 DOT = 2.6
 """Draw a mode of one record this large [pt], twice of few records: a year of hourly records is a line of them."""
-_SPANS = ((2 * 86400.0, 86400.0, "days"), (2 * 3600.0, 3600.0, "h"), (120.0, 60.0, "min"), (0.0, 1.0, "s"))
+_SPANS = ((2 * DAY, DAY, "days"), (2 * 3600.0, 3600.0, "h"), (120.0, 60.0, "min"), (0.0, 1.0, "s"))
 """Count time in the unit of which the whole span holds two."""
 
 

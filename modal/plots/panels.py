@@ -13,7 +13,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from okid.arrays import FloatArray
+from okid.arrays import ROUNDED, FloatArray
 
 Role = Literal["paper", "ink", "muted", "grid", "measured", "model", "residual", "system", "doubtful", "noise"]
 """What a colour means: background, text, text of second rank, lines behind the data, what was measured, what the model
@@ -143,11 +143,11 @@ def ticks_between(low: float, high: float, *, most: int, log: bool = False) -> l
     if log:
         return _powers(low, high, most)
     step = _step((high - low) / most)
-    values = step * np.arange(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
+    values = step * np.arange(math.ceil(low / step - ROUNDED), math.floor(high / step + ROUNDED) + 1)
     largest = float(np.abs(values).max(initial=step))
     power = math.floor(math.log10(largest))
     scaled = power > 4 or power < -3
-    digits = max(0, (power if scaled else 0) - math.floor(math.log10(step) + 1e-9))
+    digits = max(0, (power if scaled else 0) - math.floor(math.log10(step) + ROUNDED))
     unit = 10.0**power if scaled else 1.0
     tail = f"·{_power(power)}" if scaled else ""
     return [(float(value), f"{value / unit:.{digits}f}{tail if value else ''}".replace("-", "−")) for value in values]
@@ -155,7 +155,7 @@ def ticks_between(low: float, high: float, *, most: int, log: bool = False) -> l
 
 def _powers(low: float, high: float, most: int) -> list[Tick]:
     """Powers of ten, every second, third ... of many; round values between them where there are few."""
-    first, last = math.ceil(math.log10(low) - 1e-9), math.floor(math.log10(high) + 1e-9)
+    first, last = math.ceil(math.log10(low) - ROUNDED), math.floor(math.log10(high) + ROUNDED)
     if last - first < 1:
         between = [10.0**power * m for power in range(first - 1, last + 1) for m in (1, 2, 5)]
         kept = [value for value in between if low <= value <= high]
@@ -173,7 +173,7 @@ def _power(power: int) -> str:
 def _step(least: float) -> float:
     """The smallest of 1, 2 and 5 times a power of ten that is at least `least`."""
     unit = 10.0 ** math.floor(math.log10(least))
-    return next(unit * m for m in (1, 2, 5, 10) if unit * m >= least * (1.0 - 1e-9))
+    return next(unit * m for m in (1, 2, 5, 10) if unit * m >= least * (1.0 - ROUNDED))
 
 
 Dash = Literal["", "dashed", "dotted"]

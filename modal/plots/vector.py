@@ -15,7 +15,7 @@ import numpy as np
 
 from modal.plots.layout import Chart, Key
 from modal.plots.panels import COLOURS, STYLE, Area, Curve, Mark, Panel, Role, Scale, Segments, runs, text_width
-from okid.arrays import FloatArray
+from okid.arrays import ROUNDED, FloatArray
 from okid.errors import visible
 
 _DASHES = {"": "", "dashed": "4 3", "dotted": "1 2.2"}
@@ -129,7 +129,7 @@ def _axes(panel: Panel) -> list[str]:
 def _seen(panel: Panel, ticks: Sequence[tuple[float, str]], side: int) -> list[tuple[float, str]]:
     """(place in the figure, text) of the ticks within the limits."""
     low, high = sorted((panel.x if side == 0 else panel.y).limits or (0.0, 1.0))
-    inside = [(value, text) for value, text in ticks if low - 1e-9 * abs(low) <= value <= high + 1e-9 * abs(high)]
+    inside = [(value, text) for value, text in ticks if low - ROUNDED * abs(low) <= value <= high + ROUNDED * abs(high)]
     values = np.array([value for value, _ in inside])
     places = panel.place(np.stack([values, values], axis=-1))[:, side]
     return [(float(place), text) for place, (_, text) in zip(places, inside, strict=True)]
@@ -362,7 +362,7 @@ def _series(line: Curve, identity: str, notes: Notes | None) -> dict[str, object
 
 def _places(x: FloatArray) -> object:
     """An even grid as its first value, step and length; any other places one by one."""
-    if x.size > 2 and np.isfinite(x).all() and np.ptp(np.diff(x)) <= 1e-9 * abs(float(x[-1] - x[0])):
+    if x.size > 2 and np.isfinite(x).all() and np.ptp(np.diff(x)) <= ROUNDED * abs(float(x[-1] - x[0])):
         return {"from": float(f"{x[0]:.9g}"), "step": float(f"{(x[-1] - x[0]) / (x.size - 1):.9g}"), "n": x.size}
     return _numbers(x)
 

@@ -30,7 +30,6 @@ from modal.preparation.channel import (
     MOSTLY,
     NEARLY_ALL,
     NOTABLE,
-    ROUNDING,
     SERIOUS,
     SPOILED,
     Channel,
@@ -41,7 +40,7 @@ from modal.preparation.channel import (
     spoken,
 )
 from modal.wording.text import percent
-from okid.arrays import BoolArray, FloatArray
+from okid.arrays import ROUNDED, BoolArray, FloatArray
 from okid.record import Record
 from okid.rows import runs_of
 from okid.scaling import channel_scaling
@@ -119,7 +118,7 @@ def clipping_findings(channel: Channel, *, left_out: bool = False) -> list[Findi
 
 def clipped_samples(channel: Channel) -> tuple[BoolArray, ...]:
     """(n_samples,) a record: where the channel stands at a limit that clips it."""
-    near = ROUNDING * channel.extent
+    near = ROUNDED * channel.extent
     above, below = (channel.std > 0.0 and _clipped(channel, sign) is not None for sign in (1.0, -1.0))
     return tuple(
         (above & (part >= channel.largest - near)) | (below & (part <= channel.smallest + near))
@@ -215,7 +214,7 @@ def _stepped(channel: Channel) -> tuple[float, FloatArray] | None:
     if channel.std == 0.0 or _n_levels(channel) > OUTERMOST:
         return None
     values = np.concatenate([part[~np.isnan(part)] for part in channel.parts])
-    near = ROUNDING * channel.extent
+    near = ROUNDED * channel.extent
     levels, counts = np.unique(np.round(values / near), return_counts=True)
     if not 2 < levels.size <= OUTERMOST:  # what has two levels only is switched
         return None
@@ -256,7 +255,7 @@ def _clipped(channel: Channel, sign: float) -> tuple[int, list[Span]] | None:
     spans: list[Span] = []
     for number, part in enumerate(channel.parts):
         height = sign * part
-        at_limit = height >= values[0] - ROUNDING * channel.extent
+        at_limit = height >= values[0] - ROUNDED * channel.extent
         visits += _visits(at_limit, height < values[-1])
         alone = alone and not at_limit[-1:].any()
         spans += [channel.span(number, start, stop) for start, stop in runs_of(at_limit)[:MOST_SPANS]]
@@ -268,7 +267,7 @@ def _stands_alone(channel: Channel, values: FloatArray, counts: np.ndarray) -> b
     if channel.role != "output" or counts[1:].max() > 1:
         return False
     gaps = np.diff(np.unique(np.concatenate(channel.parts)))
-    gaps = gaps[gaps > ROUNDING * channel.extent]
+    gaps = gaps[gaps > ROUNDED * channel.extent]
     return bool(np.diff(values[1:]).mean() <= -100 * gaps.min(initial=np.inf))  # equal by chance once in a hundred
 
 
@@ -283,7 +282,7 @@ def _outermost(channel: Channel, sign: float) -> tuple[FloatArray, np.ndarray]:
                 height = height[height >= values[-1]]
             more, times = np.unique(height, return_counts=True)
             values, counts = _merged(
-                np.concatenate([values, more]), np.concatenate([counts, times]), ROUNDING * channel.extent
+                np.concatenate([values, more]), np.concatenate([counts, times]), ROUNDED * channel.extent
             )
     return values, counts
 
@@ -303,7 +302,7 @@ def _merged(values: FloatArray, counts: np.ndarray, same: float) -> tuple[FloatA
 def _n_levels(channel: Channel) -> int:
     longest = max(channel.parts, key=len)[:MOST_ROWS]
     levels = np.unique(longest[~np.isnan(longest)])
-    return 1 + int((np.diff(levels) > ROUNDING * channel.extent).sum())
+    return 1 + int((np.diff(levels) > ROUNDED * channel.extent).sum())
 
 
 def _visits(at_limit: np.ndarray, far: np.ndarray) -> int:
@@ -330,7 +329,7 @@ def resolution_of(channel: Channel) -> float:
     values = np.unique(np.concatenate(taken))
     values = values[~np.isnan(values)]
     gaps = np.diff(values)
-    gaps = gaps[gaps > ROUNDING * channel.extent]
+    gaps = gaps[gaps > ROUNDED * channel.extent]
     if gaps.size < 1:
         return float("nan")
     step = float(gaps.min())

@@ -19,9 +19,19 @@ from modal.preparation.amplitude import (
     resolution_of,
     stuck_findings,
 )
-from modal.preparation.channel import LEVELS, Channel, Finding, channels_of, named, spoken
+from modal.preparation.channel import (
+    LEVELS,
+    Channel,
+    Finding,
+    channels_of,
+    named,
+    sharp_samples,
+    spike_findings,
+    spikes_of,
+    spoken,
+    without_spikes,
+)
 from modal.preparation.kind import KindFound, acts, rings_down
-from modal.preparation.samples import sharp_samples, spike_findings, spikes_of, without_spikes
 from modal.wording.text import counted, percent
 from okid.arrays import BoolArray
 from okid.errors import InsufficientDataError

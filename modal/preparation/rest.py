@@ -25,7 +25,7 @@ from modal.modes.mode import Choice
 from modal.preparation.delay import MOST_LEAD, lead_of
 from modal.preparation.kind import acting_rows, acts, variance
 from modal.preparation.quick_model import quick_model
-from okid.arrays import BoolArray, FloatArray
+from okid.arrays import TINY, BoolArray, FloatArray
 from okid.record import Record
 from okid.rows import runs_of
 from okid.scaling import channel_scaling
@@ -117,7 +117,7 @@ def _level(record: Record, first: int) -> FloatArray:
     values = record.outputs[quiet]
     weights = np.ones(first) if ENOUGH <= first < last else np.hanning(len(values) + 2)[1:-1]
     shares = np.where(np.isfinite(values), weights[:, np.newaxis], 0.0)
-    level: FloatArray = (np.nan_to_num(values) * shares).sum(axis=0) / np.maximum(shares.sum(axis=0), 1e-300)
+    level: FloatArray = (np.nan_to_num(values) * shares).sum(axis=0) / np.maximum(shares.sum(axis=0), TINY)
     return level
 
 

@@ -1,7 +1,6 @@
 """Before anything is fitted: what is wrong with the records, where, how badly, and what to do about it."""
 
 from modal.preparation.channel import Finding
-from modal.quality.check import check_quality
-from modal.quality.findings import ChannelQuality, ChannelStatistics, DataQuality
+from modal.quality.check import ChannelQuality, ChannelStatistics, DataQuality, check_quality
 
 __all__ = ["ChannelQuality", "ChannelStatistics", "DataQuality", "Finding", "check_quality"]

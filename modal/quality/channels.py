@@ -43,6 +43,7 @@ from modal.preparation.drift import (
     slow_motion,
     without_drift,
 )
+from modal.preparation.kind import N_PARTS
 from modal.quality.coherence import best_pulse, predicted_outputs
 from modal.wording.text import percent
 from okid.arrays import FloatArray
@@ -275,8 +276,6 @@ def _between(low: float, high: float, step: float) -> slice:
 LARGE_OFFSET = 10.0
 """Speak of a mean of so many standard deviations."""
 
-N_BLOCKS = 10
-"""Compare the levels of so many blocks of a record."""
 
 CHANGED = 4.0
 """Say that the level changed where the median of one side is so many times that of the other."""
@@ -313,9 +312,9 @@ def offset_findings(channel: Channel) -> list[Finding]:
 def is_steady(channel: Channel) -> bool:
     """Whether neither the mean nor the level of an input nor that of its steps from sample to sample changes."""
     for part in channel.parts:
-        size = part.size // N_BLOCKS
+        size = part.size // N_PARTS
         if size:
-            away = part[: N_BLOCKS * size].reshape(N_BLOCKS, size) - channel.mean
+            away = part[: N_PARTS * size].reshape(N_PARTS, size) - channel.mean
             n_there = np.maximum((~np.isnan(away)).sum(axis=1), 1)  # a block without a sample tells nothing
             if not np.abs(np.nansum(away, axis=1) / n_there).max() <= channel.std:
                 return False
@@ -329,8 +328,8 @@ def block_levels(parts: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
     for part in parts:
         if part.size < FEWEST_ROWS:
             continue
-        size = part.size // N_BLOCKS
-        blocks = part[: N_BLOCKS * size].reshape(N_BLOCKS, size)
+        size = part.size // N_PARTS
+        blocks = part[: N_PARTS * size].reshape(N_PARTS, size)
         there = ~np.isnan(blocks)
         count = np.where(there.any(axis=1), there.sum(axis=1), np.nan)
         mean = np.where(there, blocks, 0.0).sum(axis=1) / count
@@ -349,7 +348,7 @@ def level_findings(channel: Channel, inputs_steady: Sequence[bool]) -> list[Find
             continue
         cut, before, after = change
         part = [part for part in channel.parts if part.size >= FEWEST_ROWS][number]
-        time = cut * (part.size // N_BLOCKS) * channel.dt
+        time = cut * (part.size // N_PARTS) * channel.dt
         ratio = max(before, after) / max(min(before, after), np.finfo(float).tiny)
         word, times = ("larger" if after > before else "smaller"), spoken(ratio) if ratio < 1e6 else "many"
         return [

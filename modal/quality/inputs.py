@@ -12,10 +12,10 @@ from dataclasses import replace
 import numpy as np
 
 from modal.modes.response_synthesis import MeasuredFrf
-from modal.preparation.channel import FITTED_ROWS, MOST_ROWS, MOSTLY, ROUNDING, SERIOUS, Finding, Level, named, spoken
+from modal.preparation.channel import FITTED_ROWS, MOST_ROWS, MOSTLY, SERIOUS, Finding, Level, named, spoken
 from modal.preparation.delay import LEAST_DELAY, choose_input_delay, pulse_steps
 from modal.wording.text import percent
-from okid.arrays import TINY, FloatArray
+from okid.arrays import ROUNDED, TINY, FloatArray
 from okid.errors import IdentificationError
 from okid.excitation import check_excitation
 from okid.frequency_response import FEWEST_AVERAGES, AveragedSpectra
@@ -111,7 +111,7 @@ def _alike(record: Record, spectra: AveragedSpectra) -> list[Finding]:
         for j in range(i + 1, n):
             alike = np.nan_to_num(coherence[:, i, j]) > ALIKE
             share = min(float(power[alike, k].sum() / max(power[:, k].sum(), TINY)) for k in (i, j))
-            whole = 1.0 - share < ROUNDING and bool((np.nan_to_num(coherence[:, i, j], nan=1.0) > 1.0 - ROUNDING).all())
+            whole = 1.0 - share < ROUNDED and bool((np.nan_to_num(coherence[:, i, j], nan=1.0) > 1.0 - ROUNDED).all())
             if share > MOSTLY and not whole:
                 pairs.append((share, i, j))
     if not pairs:
@@ -182,7 +182,7 @@ def copy_findings(records: Sequence[Record]) -> list[Finding]:
             if not (moving[i] and moving[j]) or j in taken:
                 continue
             correlation = gram[i, j] / (size[i] * size[j])
-            if abs(correlation) < 1.0 - ROUNDING:
+            if abs(correlation) < 1.0 - ROUNDED:
                 continue
             taken.add(j)
             found.append(_finding(roles[i], names[i], names[j], float(np.sign(correlation) * size[j] / size[i])))

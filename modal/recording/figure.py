@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from modal.plots.layout import Chart
 from modal.plots.panels import STYLE, Area, Curve, Mark, Panel, Role, Scale, Segments, Tick, runs
-from okid.arrays import FloatArray
+from okid.arrays import ROUNDED, FloatArray
 
 
 class _Later:
@@ -247,7 +247,7 @@ def _log_frame(recording: RecordingStream, path: str, panel: Panel) -> None:
 def _seen(panel: Panel, axis: Scale, ticks: Sequence[Tick]) -> list[Tick]:
     """(place in the view, words) of the ticks within the limits, of plain numbers as the viewer's fonts have them."""
     low, high = sorted(axis.limits or (0.0, 1.0))
-    slack = 1e-9 * (high - low)
+    slack = ROUNDED * (high - low)
     inside = [(value, text) for value, text in ticks if low - slack <= value <= high + slack]
     side = 0 if axis is panel.x else 1
     plain = axis.ticks is None

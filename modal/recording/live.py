@@ -27,13 +27,11 @@ from urllib.parse import urlsplit
 from modal.geometry.sensors import Geometry
 from modal.identification.result import Identification
 from modal.modes.mode import ModalModel
-from modal.quality.check import check_quality
-from modal.quality.findings import DataQuality
+from modal.quality.check import DataQuality, check_quality
 from modal.recording.figure import Blueprint, RecordingStream, document_view, rr, rrb
 from modal.recording.identification.record import log_record_page, record_page
-from modal.recording.plan import DataPlan, cell, label, planned_data
+from modal.recording.plan import DataPlan, cell, label, log_text, planned_data
 from modal.recording.stream import APPLICATION, log_identification, show_whole_record, strict_errors, whole_blueprint
-from modal.recording.tables import log_text
 from okid.errors import IdentificationWarning, InvalidDataError
 from okid.record import Record
 

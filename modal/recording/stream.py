@@ -18,8 +18,8 @@ from modal.discrepancy.results import Diagnosis, in_words
 from modal.geometry.sensors import Geometry
 from modal.identification.result import Identification
 from modal.plots.histories import frequencies_of_records, places_of_records
-from modal.quality.findings import DataQuality
-from modal.recording.discrepancy.page import (
+from modal.quality.check import DataQuality
+from modal.recording.discrepancy import (
     GAP_TEXT,
     HYPOTHESES,
     LAW_TEXT,
@@ -29,13 +29,15 @@ from modal.recording.discrepancy.page import (
     STEP_SPECTRUM,
     STEP_TEXT,
     VERDICT_TEXT,
+    DiscrepancyPlan,
+    diagnosis_tables,
     law_panes,
     law_title,
     log_discrepancy_page,
     log_steps_page,
+    planned_diagnosis,
     spectrum_pane,
 )
-from modal.recording.discrepancy.series import DiscrepancyPlan, diagnosis_tables, planned_diagnosis
 from modal.recording.figure import (
     Blueprint,
     Pane,
@@ -48,15 +50,33 @@ from modal.recording.figure import (
     series_view,
     tabs,
 )
-from modal.recording.identification.fit import fit_page, log_fit_page, log_response_page, response_page
+from modal.recording.identification.fit import (
+    fit_page,
+    log_fit_page,
+    log_response_page,
+    log_validation_page,
+    response_page,
+    validation_page,
+)
 from modal.recording.identification.modes import log_modes_page, modes_page
 from modal.recording.identification.order import ORDER_FIT, ORDER_TEXT, SINGULAR_VALUES, STABILISATION, log_order_page
 from modal.recording.identification.record import log_record_page, record_page
 from modal.recording.identification.shapes import Swinging
-from modal.recording.identification.validation import log_validation_page, validation_page
-from modal.recording.plan import Gathered, Plan, cell, gather, label, name_with_unit, planned
+from modal.recording.plan import (
+    Gathered,
+    Plan,
+    WordLimits,
+    bullets,
+    cell,
+    gather,
+    label,
+    log_table,
+    log_text,
+    name_with_unit,
+    planned,
+    table,
+)
 from modal.recording.series import TIMELINE, StoredRecords
-from modal.recording.tables import WordLimits, bullets, log_table, log_text, table
 from modal.sections.discrepancy_stages import level_lines
 from okid.arrays import require
 from okid.errors import InvalidDataError

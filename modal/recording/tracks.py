@@ -30,10 +30,9 @@ from modal.recording.figure import (
     series_view,
     tabs,
 )
-from modal.recording.plan import Views, cell, label, path_parts
+from modal.recording.plan import Views, bullets, cell, label, log_table, log_text, path_parts, table
 from modal.recording.series import LATEST, TIMELINE, bucket_length, row_budget
 from modal.recording.stream import GLOBAL_AXIS, write_stream
-from modal.recording.tables import bullets, log_table, log_text, table
 from modal.wording.text import NINETY_FIVE, hertz
 from okid.arrays import FloatArray
 

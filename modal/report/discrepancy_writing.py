@@ -24,9 +24,9 @@ from modal.report.machine import as_json, number_cell, record_document
 from modal.report.pages import environment, hold_text, inline
 from modal.report.pictures import Picture, drawn
 from modal.sections import discrepancy_words as words
-from modal.sections.discrepancy_stages import Stage, level_lines, record_name, rows_of, stages_of, worst_outputs
-from modal.sections.discrepancy_values import (
+from modal.sections.discrepancy_stages import (
     NAMED_WITHIN,
+    Stage,
     beside_text,
     closed_share,
     effect_text,
@@ -35,12 +35,17 @@ from modal.sections.discrepancy_values import (
     found_word,
     hypothesis_text,
     interval_text,
+    level_lines,
+    record_name,
+    rows_of,
     signed_change,
     size_text,
+    stages_of,
     step_text,
     times_floor,
     times_text,
     value_text,
+    worst_outputs,
 )
 from modal.sections.discrepancy_words import diagnosis_headline, judge_diagnosis, next_steps, where_sentences
 from modal.sections.provenance import Provenance, installed_version

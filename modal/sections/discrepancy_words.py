@@ -22,7 +22,7 @@ from modal.discrepancy.results import (
 from modal.effects.ambiguity import AMBIGUOUS
 from modal.effects.catalogue import one_of
 from modal.identification.words import Judgement
-from modal.sections.discrepancy_values import (
+from modal.sections.discrepancy_stages import (
     closed_share,
     effect_text,
     effects_text,

@@ -14,7 +14,7 @@ from modal.wording.text import GOOD_FIT, LEAST_FIT, NINETY_FIVE, fit_text, whole
 if TYPE_CHECKING:
     from modal.acceptance.test_file import SensorNote, Specification
     from modal.quality import DataQuality
-    from modal.quality.findings import ChannelQuality, ChannelStatistics
+    from modal.quality.check import ChannelQuality, ChannelStatistics
 
 
 class BandLimits:

@@ -9,9 +9,8 @@ import numpy as np
 from modal.effects.catalogue import CATALOGUE, parameter_units
 from modal.effects.effect import Effect, ForceEffect
 from modal.simulation.plant import Plant
-from modal.structure.elements import relative_vector
 from modal.structure.placed import PlacedEffect, law_of
-from modal.structure.structural_plant import structural_plant
+from modal.structure.structural_plant import relative_vector, structural_plant
 from okid.arrays import FloatArray
 
 if TYPE_CHECKING:

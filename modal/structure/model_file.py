@@ -37,9 +37,8 @@ import numpy.typing as npt
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
 from modal.simulation.plant import LinearParameter, Plant, Port
-from modal.structure.elements import Element
 from modal.structure.placed import PlacedEffect, placed_effect
-from modal.structure.structural_plant import place_name, structural_plant
+from modal.structure.structural_plant import Element, place_name, structural_plant
 from modal.wording.text import shorten
 from okid.display import Displayed
 from okid.errors import InvalidDataError, UnreadableFileError

@@ -29,11 +29,17 @@ from modal.structure.checks import (
     sensor_kinds,
     tolerance,
 )
-from modal.structure.elements import Element, chain_elements, coupled_elements, named_elements
 from modal.structure.equations import equations_of_structure
 from modal.structure.model_file import KeptModel
 from modal.structure.placed import PlacedEffect, placed_effect
-from modal.structure.structural_plant import place_name, structural_plant
+from modal.structure.structural_plant import (
+    Element,
+    chain_elements,
+    coupled_elements,
+    named_elements,
+    place_name,
+    structural_plant,
+)
 from okid.arrays import ComplexArray, FloatArray, frozen
 from okid.display import first_names
 from okid.errors import InvalidDataError

@@ -24,7 +24,8 @@ from typing import Final
 import numpy as np
 
 from modal.comparison.shifts import chance_together
-from okid.arrays import BoolArray, FloatArray
+from okid.arrays import ROUNDED, BoolArray, FloatArray
+from okid.readers.table import DAY
 
 
 class Causes:
@@ -40,7 +41,9 @@ class Causes:
     """Choose part and time constant with this degree, then the degree."""
 
 
-MONTH = 30.44 * 86400.0
+USUAL = 1.4826
+"""Standard deviation over the median of the size, of normal errors."""
+MONTH = 30.44 * DAY
 FEWEST_FOLDS = 5
 FEWEST_A_TERM = 2
 """Fit terms to a mode that was found in so many records for each of them; to others none."""
@@ -67,7 +70,9 @@ def held_out_months(times: FloatArray, *, clock: bool) -> np.ndarray:
     """(n_records,) number of the fold: a month, or a fifth of a shorter table."""
     span = float(np.ptp(times)) or 1.0
     n_folds = max(FEWEST_FOLDS, round(span / MONTH)) if clock else FEWEST_FOLDS
-    folds: np.ndarray = np.minimum((n_folds * (times - times[0]) / (span * (1.0 + 1e-9))).astype(np.intp), n_folds - 1)
+    folds: np.ndarray = np.minimum(
+        (n_folds * (times - times[0]) / (span * (1.0 + ROUNDED))).astype(np.intp), n_folds - 1
+    )
     return folds
 
 
@@ -201,7 +206,6 @@ def _held_out_errors(values: FloatArray, terms: FloatArray, folds: np.ndarray) -
 
 LEVEL = 0.0025
 """Raise a false alarm with at most this chance a month: one in 400 quiet months."""
-DAY = 86400.0
 
 
 class Blocks:
@@ -314,7 +318,7 @@ def _outliers(values: FloatArray) -> BoolArray:
         padded = np.pad(column[there], NEIGHBOURS, mode="reflect")
         windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1)
         away = np.abs(column[there] - np.median(windows, axis=1))
-        far[there[away > OUTLIER * 1.4826 * np.median(away)], mode] = True
+        far[there[away > OUTLIER * USUAL * np.median(away)], mode] = True
     return far
 
 
@@ -463,7 +467,7 @@ def _steps(cleared: Sequence[_Cleared], step: FloatArray) -> tuple[FloatArray, F
         s_left = s - one.basis @ (one.basis.T @ s)
         power = float(s_left @ s_left)
         free = s.size - one.basis.shape[1] - 1
-        if free < 2 or power <= 1e-9 * float(s @ s):
+        if free < 2 or power <= ROUNDED * float(s @ s):
             continue
         steps[mode] = float(s_left @ one.left) / power
         rest = one.left - steps[mode] * s_left

@@ -36,7 +36,7 @@ from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel
 from modal.modes.shape_comparison import EVEN, assurance, pair_greatest_first
 from modal.wording.text import listed
-from okid.arrays import FloatArray, time_step, whole_number
+from okid.arrays import ROUNDED, FloatArray, time_step, whole_number
 from okid.display import Displayed
 from okid.errors import IdentificationError, InsufficientDataError, InvalidDataError, UnreadableFileError
 from okid.gram import LagGram, lag_gram
@@ -176,7 +176,7 @@ def _check(record: Record, dt: float, window: float, observer_order: int, parts:
             f"{int(window / dt)} rows. Use a window of at least {(needed + observer_order) * dt:.3g} s, or a smaller "
             "order."
         )
-    if abs(record.dt - dt) > 1e-9 * dt:
+    if abs(record.dt - dt) > ROUNDED * dt:
         raise InvalidDataError(f"a block has the time step {record.dt:.6g} s, but dt is {dt:.6g} s; give one for all.")
     if parts and (record.n_inputs, record.n_outputs) != (parts[0].record.n_inputs, parts[0].record.n_outputs):
         raise InvalidDataError("all blocks must have the same inputs and outputs; start again where channels change.")

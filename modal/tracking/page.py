@@ -21,6 +21,7 @@ from modal.sections.provenance import installed_version
 from modal.tracking.tracks import Track, Tracks
 from modal.wording.text import hertz, shorten
 from okid.arrays import FloatArray
+from okid.readers.table import DAY
 
 TRACK_PAGE, TRACK_TABLE, TRACK_RECORDING = "tracks.html", "tracks.parquet", "tracks.rrd"
 EPOCH_FROM = 1e9
@@ -35,7 +36,7 @@ def moment_text(time: float, tracks: Tracks) -> str:
     if EPOCH_FROM <= time <= LATEST:
         return datetime.fromtimestamp(time, tz=UTC).strftime("%Y-%m-%d %H:%M")
     start = min(float(one.times[0]) for one in tracks.tracks)
-    return f"day {(time - start) / 86400.0:.1f}"
+    return f"day {(time - start) / DAY:.1f}"
 
 
 def tracks_headline(tracks: Tracks) -> str:

@@ -23,7 +23,7 @@ import scipy
 from modal.batch.tables import Batch
 from modal.comparison.shifts import DOUBT, POLE_SCALE, SHAPE_SCALE, TOO_FAR, Shift
 from modal.comparison.words import percent_text
-from modal.tracking.alarms import LEVEL, LevelChange, enough_records, explain, find_changes
+from modal.tracking.alarms import LEVEL, USUAL, LevelChange, enough_records, explain, find_changes
 from modal.wording.text import NINETY_FIVE, hertz, listed, shorten
 from okid.arrays import BoolArray, ComplexArray, FloatArray, frozen
 from okid.display import Displayed
@@ -315,8 +315,6 @@ def _with_tracks(table: Any, owner: npt.NDArray[np.intp]) -> Any:
 
 FAR = 6.0
 """Count a change of this many usual ones as one that chance does not make."""
-USUAL = 1.4826
-"""Standard deviation over the median of the size, of normal errors."""
 SHAPE_MEMORY, FREQUENCY_MEMORY = 0.1, 0.4
 """Let a new record count so much in what is remembered of a mode: ten records of its shape, the last few of its
 frequency, which temperature moves within hours."""

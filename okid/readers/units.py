@@ -15,6 +15,7 @@ import unicodedata
 from dataclasses import dataclass
 from typing import Any
 
+from okid.arrays import ROUNDED
 from okid.errors import UnreadableFileError
 from okid.readers.guard import first_line
 
@@ -458,7 +459,7 @@ def _linear(spelt: str, written: str) -> tuple[float, float, str] | None:
     except Exception:  # noqa: BLE001 - a logarithm within a product (dB(A)) has a name that the library cannot reduce
         return None
     base = f"{one.units:~C}"
-    if base in {"", "count"} or abs(two.magnitude - 2 * one.magnitude + zero.magnitude) > 1e-9 * abs(two.magnitude):
+    if base in {"", "count"} or abs(two.magnitude - 2 * one.magnitude + zero.magnitude) > ROUNDED * abs(two.magnitude):
         return None
     offset = float(zero.magnitude)
     factor = float(one.magnitude) - offset

@@ -30,8 +30,10 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "reference")]
 
 from systems import markov, random_system, simulate  # noqa: E402  # the path is set above
 
-from era.balanced import realise  # noqa: E402
-from era.data_correlation import realise_data_correlation  # noqa: E402
+from era.balanced import (  # noqa: E402
+    realise,
+    realise_data_correlation,
+)
 from okid.markov import MarkovParameters, recover_markov  # noqa: E402
 from okid.observer import fit_observer  # noqa: E402
 from okid.record import Record  # noqa: E402

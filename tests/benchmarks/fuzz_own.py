@@ -310,7 +310,7 @@ def make_report(folder):
 
 def read_report_file(path):
     """No program of ours reads a report back: each refuses it, and what stands beside it is read as if it were not."""
-    from modal.command.view import recording_of
+    from modal.command.results import recording_of
     from modal.comparison.shifts import read_result
     from okid.errors import IdentificationError
     from okid.readers.dispatch import read_table

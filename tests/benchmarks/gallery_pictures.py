@@ -3,7 +3,7 @@
     python tests/benchmarks/gallery_pictures.py WORK [--viewer PROGRAM] [--only NAME ...]
 
 Examples write into WORK, unless their folder is there already. Pages are photographed by the browser that prints the
-PDF (`modal.report.pdf.find_browser`). Recordings are photographed by a program that is called as
+PDF (`modal.report.folder.find_browser`). Recordings are photographed by a program that is called as
 `PROGRAM IN.rrd OUT.png WIDTH HEIGHT --tab NAME`; without one their pictures stay as they are.
 """
 
@@ -71,7 +71,7 @@ def run(name, folder):
 
 def photograph_page(page, first, last, target):
     """Some rows of a page in a window 1100 wide."""
-    from modal.report.pdf import find_browser
+    from modal.report.folder import find_browser
 
     with tempfile.TemporaryDirectory() as profile:
         options = ["--headless", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--no-sandbox"]

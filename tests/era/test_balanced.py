@@ -6,10 +6,9 @@ import scipy
 import systems
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from systems import chain_matrices, markov, modal_system, random_system, structure
+from systems import chain_matrices, markov, modal_system, pole_distance, pulse_response, random_system, structure
 
-from era.balanced import decompose, realise, realise_from
-from era.data_correlation import realise_data_correlation
+from era.balanced import decompose, realise, realise_data_correlation, realise_from
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.markov import MarkovParameters, recover_markov
 from okid.observer import fit_observer
@@ -18,19 +17,6 @@ from okid.record import Record
 
 def parameters_of(system, n_lags=80, **extra):
     return MarkovParameters(system=markov(system, n_lags), dt=system.dt, **extra)
-
-
-def pulse_response(model, n_lags):
-    """D, C B, C A B, ... by repeated multiplication."""
-    response, columns = [model.D], model.B
-    for _ in range(n_lags):
-        response.append(model.C @ columns)
-        columns = model.A @ columns
-    return np.array(response)
-
-
-def pole_distance(one, other):
-    return np.abs(np.subtract.outer(one, other)).min(axis=1).max()
 
 
 def textbook_era(h, a, b, order):

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from systems import markov, modal_system, random_system
+from systems import markov, modal_system, pole_distance, pulse_response, random_system
 
-from era.balanced import realise
-from era.data_correlation import realise_data_correlation
+from era.balanced import realise, realise_data_correlation
 from modal.modes.extraction import extract_modes
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.markov import MarkovParameters
@@ -13,19 +12,6 @@ from okid.markov import MarkovParameters
 
 def parameters_of(system, n_lags=80, **extra):
     return MarkovParameters(system=markov(system, n_lags), dt=system.dt, **extra)
-
-
-def pulse_response(model, n_lags, drive=None):
-    """D, C B, C A B, ... by repeated multiplication."""
-    response, columns = [model.D], model.B if drive is None else drive
-    for _ in range(n_lags):
-        response.append(model.C @ columns)
-        columns = model.A @ columns
-    return response if drive is not None else np.array(response)
-
-
-def pole_distance(one, other):
-    return np.abs(np.subtract.outer(one, other)).min(axis=1).max()
 
 
 def correlation(h, k, a, b):

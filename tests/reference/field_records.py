@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 from scipy.signal import lfilter
-from structures import OfPoles, participation_of, random_excitation
+from structures import OfPoles, log_uniform, participation_of, random_excitation
 
 RecordKind = Literal["driven", "transient", "decay", "ambient"]
 
@@ -55,13 +55,13 @@ def random_records(kind: RecordKind, seed: int, *, n_records: int | None = None,
 
 def _struck(rng, n_records):
     """One blow a record, anywhere: 0.1 to 3 % noise of each output's peak, an answer that fills 3 to 100 % of it."""
-    n_samples, dt = int(_log_uniform(rng, 1000, 6000)), _log_uniform(rng, 1e-4, 1e-2)
-    answer = _log_uniform(rng, 0.03, 1.0) * n_samples
+    n_samples, dt = int(log_uniform(rng, 1000, 6000)), log_uniform(rng, 1e-4, 1e-2)
+    answer = log_uniform(rng, 0.03, 1.0) * n_samples
     poles, shapes = _structure(rng, max(answer, 80.0), dt)
     n_inputs = 2 if n_records > 2 and rng.random() < 0.3 else 1
     forces, derivative = rng.standard_normal((n_inputs, poles.size)), int(rng.integers(3))
     participation = forces * participation_of(poles, derivative, dt)
-    participation /= np.abs(participation).max(axis=0) / _log_uniform(rng, 0.3, 1.0, poles.size)
+    participation /= np.abs(participation).max(axis=0) / log_uniform(rng, 0.3, 1.0, poles.size)
     # an accelerometer answers at once, as large as its modes together
     D = np.zeros((shapes.shape[0], n_inputs)) if derivative < 2 else shapes.real @ participation.real.T
     cleans, inputs, own = [], [], []
@@ -76,7 +76,7 @@ def _struck(rng, n_records):
         own.append(answers)
         cleans.append(answers.sum(axis=0) + u @ D.T)
         inputs.append(u)
-    share = _log_uniform(rng, 0.001, 0.03)
+    share = log_uniform(rng, 0.001, 0.03)
     std = share * np.max([np.abs(clean).max(axis=0) for clean in cleans], axis=0)
     pairs = tuple((u, clean + std * rng.standard_normal(clean.shape)) for u, clean in zip(inputs, cleans, strict=True))
     words = f"{n_records} x {n_samples}, answer {100 * answer / n_samples:.0f} %, noise {100 * share:.2g} %"
@@ -94,14 +94,14 @@ def _struck(rng, n_records):
 
 def _decaying(rng, n_records):
     """Free motion from an unknown state, some of it with a resting level: 0.1 to 3 % noise of each output's start."""
-    n_samples, dt = int(_log_uniform(rng, 800, 5000)), _log_uniform(rng, 1e-4, 1e-2)
-    poles, shapes = _structure(rng, _log_uniform(rng, 0.1, 1.0) * n_samples, dt, most_outputs=12)
+    n_samples, dt = int(log_uniform(rng, 800, 5000)), log_uniform(rng, 1e-4, 1e-2)
+    poles, shapes = _structure(rng, log_uniform(rng, 0.1, 1.0) * n_samples, dt, most_outputs=12)
     time = np.arange(n_samples) * dt
     states = rng.uniform(0.2, 1.0, (n_records, poles.size)) * np.exp(2j * np.pi * rng.random((n_records, poles.size)))
     own = [
         np.einsum("km,om,m->mko", np.exp(np.outer(time, poles)), shapes, state, optimize=True).real for state in states
     ]
-    share = _log_uniform(rng, 0.001, 0.03)
+    share = log_uniform(rng, 0.001, 0.03)
     std = share * np.max([np.abs(one.sum(axis=0)).max(axis=0) for one in own], axis=0)
     level = rng.choice([0.0, 3.0]) * std / share * rng.standard_normal(shapes.shape[0])
     empty = np.empty((n_samples, 0))
@@ -124,9 +124,9 @@ def _decaying(rng, n_records):
 
 def _ambient(rng, n_records):
     """White forces that nobody measures, 1 to 20 % sensor noise; the records begin in the middle of the motion."""
-    n_samples, dt = int(_log_uniform(rng, 3000, 12000)), _log_uniform(rng, 1e-3, 1e-1)
-    poles, shapes = _structure(rng, n_samples / _log_uniform(rng, 12, 100), dt)
-    pairs, share = [], _log_uniform(rng, 0.01, 0.2)
+    n_samples, dt = int(log_uniform(rng, 3000, 12000)), log_uniform(rng, 1e-3, 1e-1)
+    poles, shapes = _structure(rng, n_samples / log_uniform(rng, 12, 100), dt)
+    pairs, share = [], log_uniform(rng, 0.01, 0.2)
     for _ in range(min(n_records, 3)):
         lead = int(5 / (-poles.real.max() * dt))
         forces = rng.standard_normal((lead + n_samples, poles.size))
@@ -151,11 +151,11 @@ def _ambient(rng, n_records):
 
 def _driven(rng, n_records):
     """Forces that move throughout, of every sort, with bursts and steps among them; 0.5 to 10 % noise."""
-    n_samples, dt = int(_log_uniform(rng, 1500, 6000)), _log_uniform(rng, 1e-3, 1e-1)
-    poles, shapes = _structure(rng, n_samples / _log_uniform(rng, 8, 60), dt)
+    n_samples, dt = int(log_uniform(rng, 1500, 6000)), log_uniform(rng, 1e-3, 1e-1)
+    poles, shapes = _structure(rng, n_samples / log_uniform(rng, 8, 60), dt)
     cycles = np.abs(poles) * dt / (2 * np.pi)
     kind = str(rng.choice(["white", "coloured", "sweep", "multisine", "steps", "burst", "earthquake"]))
-    pairs, own, share = [], [], _log_uniform(rng, 0.005, 0.1)
+    pairs, own, share = [], [], log_uniform(rng, 0.005, 0.1)
     forces = rng.standard_normal((1, poles.size))
     for _ in range(min(n_records, 3)):
         if kind == "steps":
@@ -262,7 +262,3 @@ def _decay_bound(poles, shapes, states, *, std, n_samples, dt):
         np.sqrt(np.einsum("ij,jk,ik->i", to_size, own, to_size)) / (2 * np.pi * dt),
         np.sqrt(np.einsum("ij,jk,ik->i", to_damping, own, to_damping)),
     )
-
-
-def _log_uniform(rng, low, high, size=None):
-    return np.exp(rng.uniform(np.log(low), np.log(high), size))

@@ -84,8 +84,8 @@ class StructureRecord:
 def random_record(seed: int) -> StructureRecord:
     """A random structure with a random record of 1500 to 8000 samples, 1 to 8 outputs, 1 to 3 inputs."""
     rng = np.random.default_rng(seed)
-    n_samples, n_inputs, n_outputs = int(_log_uniform(rng, 1500, 8000)), rng.integers(1, 4), rng.integers(1, 9)
-    dt = _log_uniform(rng, 1e-3, 0.3)
+    n_samples, n_inputs, n_outputs = int(log_uniform(rng, 1500, 8000)), rng.integers(1, 4), rng.integers(1, 9)
+    dt = log_uniform(rng, 1e-3, 0.3)
     poles, traits = _poles(rng, n_samples, dt)
     excitation = EXCITATIONS[rng.integers(len(EXCITATIONS))]
     cycles = np.abs(poles) * dt / (2 * np.pi)
@@ -98,7 +98,7 @@ def random_record(seed: int) -> StructureRecord:
     responses = forced + 2 * np.einsum("km,om->mko", decay, structure.shapes).real
     clean = responses.sum(axis=0) + inputs @ structure.D.T
     size = clean.std(axis=0)
-    share = _log_uniform(rng, 0.001, 0.3)
+    share = log_uniform(rng, 0.001, 0.3)
     kind: NoiseKind = rng.choice(["white", "white", "white", "coloured", "process"])
     noise = _noise(rng, structure, n_samples, kind) * share * size * rng.uniform(0.7, 1.4, n_outputs)
     hum, lines = _hum(rng, structure, n_samples, size)
@@ -142,18 +142,18 @@ def _poles(rng, n_samples, dt):
     lowest, highest = max(0.004, 12 / n_samples), rng.choice([0.42, 0.42, 0.42, 0.09])
     evenly = rng.random()
     while True:
-        crowded = _log_uniform(rng, lowest, highest, n_modes)  # low modes closer to each other, as in a beam
+        crowded = log_uniform(rng, lowest, highest, n_modes)  # low modes closer to each other, as in a beam
         cycles = np.sort(crowded if evenly < 0.5 else rng.uniform(lowest, highest, n_modes))
         if np.all(cycles[1:] >= LEAST_SEPARATION * cycles[:-1]):
             break
     traits: list[list[str]] = [[] for _ in cycles]
-    damping = _log_uniform(rng, 0.003, 0.03) * _log_uniform(rng, 0.5, 2.0, n_modes)
+    damping = log_uniform(rng, 0.003, 0.03) * log_uniform(rng, 0.5, 2.0, n_modes)
     for i in np.flatnonzero(rng.random(n_modes) < 0.08):
         damping[i] = rng.uniform(0.05, 0.2)
         traits[i].append("heavily damped")
     if n_modes > 1 and rng.random() < 0.35:
         i = int(rng.integers(n_modes - 1))
-        cycles[i + 1] = cycles[i] * (1 + _log_uniform(rng, 0.005, 0.05))
+        cycles[i + 1] = cycles[i] * (1 + log_uniform(rng, 0.005, 0.05))
         traits[i].append("close")
         traits[i + 1].append("close")
     natural = 2 * np.pi * cycles / dt
@@ -172,9 +172,9 @@ def _structure(rng, poles, traits, *, inputs, n_outputs, dt):
         if n_outputs > 1:
             shapes[np.arange(n_outputs) != rng.integers(n_outputs), i] = 0.0
             traits[i].append("local")
-    sizes = _log_uniform(rng, 0.3, 1.0, n_modes)
+    sizes = log_uniform(rng, 0.3, 1.0, n_modes)
     for i in 1 + np.flatnonzero(rng.random(n_modes - 1) < 0.2):
-        sizes[i] = _log_uniform(rng, 0.01, 0.15)
+        sizes[i] = log_uniform(rng, 0.01, 0.15)
         traits[i].append("weak")
     derivative, words = int(rng.integers(3)), tuple(map(tuple, traits))
     forces = rng.standard_normal((n_inputs, n_modes))
@@ -260,7 +260,7 @@ def _hum(rng, structure, n_samples, size):
             rng.standard_normal((n_samples, 1)), axis=0
         )  # of a mains frequency
         phase = 2 * np.pi * (f * k + rng.random(size.size)) + wander
-        lines[i] = _log_uniform(rng, 0.01, 0.5) * rng.uniform(0.2, 1, size.size) * size * np.sin(phase)
+        lines[i] = log_uniform(rng, 0.01, 0.5) * rng.uniform(0.2, 1, size.size) * size * np.sin(phase)
     return np.array(cycles) / structure.dt, lines
 
 
@@ -269,5 +269,5 @@ def _free_size(structure, forced):
     return np.sqrt((forced**2).mean(axis=(1, 2)) / (2 * (np.abs(structure.shapes) ** 2).mean(axis=0)))
 
 
-def _log_uniform(rng, low, high, size=None):
+def log_uniform(rng, low, high, size=None):
     return np.exp(rng.uniform(np.log(low), np.log(high), size))

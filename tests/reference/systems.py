@@ -12,13 +12,14 @@ from typing import Literal
 
 import numpy as np
 import scipy
+from structures import OfPoles
 
 Hold = Literal["zero_order", "linear"]
 SensorKind = Literal["displacement", "velocity", "acceleration"]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class TruthSystem:
+class TruthSystem(OfPoles):
     """x(k+1) = A x(k) + B u(k), y(k) = C x(k) + D u(k), and the continuous-time modes that it samples.
 
     A has no deadbeat or negative real pole, and no pole of it is aliased. `poles` holds one of each conjugate pair
@@ -48,15 +49,6 @@ class TruthSystem:
     @property
     def n_outputs(self) -> int:
         return self.C.shape[0]
-
-    @property
-    def frequencies(self) -> np.ndarray:
-        """(n_modes,) |pole| / 2 pi [Hz]."""
-        return np.abs(self.poles) / (2 * np.pi)
-
-    @property
-    def damping_ratios(self) -> np.ndarray:
-        return -self.poles.real / np.abs(self.poles)
 
     @property
     def discrete_poles(self) -> np.ndarray:
@@ -291,3 +283,16 @@ def initial_state(rng: np.random.Generator, system: TruthSystem, inputs: np.ndar
     for u in inputs[: min(len(inputs), 500)]:
         state = system.A @ state + system.B @ u
     return state * rng.uniform(0.5, 1.5, system.order) + 0.1 * np.abs(state).max() * rng.standard_normal(system.order)
+
+
+def pulse_response(model, n_lags, drive=None):
+    """D, C B, C A B, ... by repeated multiplication."""
+    response, columns = [model.D], model.B if drive is None else drive
+    for _ in range(n_lags):
+        response.append(model.C @ columns)
+        columns = model.A @ columns
+    return response if drive is not None else np.array(response)
+
+
+def pole_distance(one, other):
+    return np.abs(np.subtract.outer(one, other)).min(axis=1).max()

@@ -30,8 +30,7 @@ from modal.modes.mode import Mode
 from modal.modes.shape_comparison import assurance
 from modal.recording.figure import Palette, Pane, RecordingStream, document_view, plot_view, rr, rrb
 from modal.recording.identification.shapes import log_shape, shape_path
-from modal.recording.plan import Plan, cell, label
-from modal.recording.tables import UNKNOWN, bullets, choices_text, known, log_table, log_text, table
+from modal.recording.plan import UNKNOWN, Plan, bullets, cell, choices_text, known, label, log_table, log_text, table
 from modal.sections.words import remark_of
 from modal.wording.text import NINETY_FIVE, hertz, ratio_text, with_interval
 from okid.arrays import ComplexArray, FloatArray

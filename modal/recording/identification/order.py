@@ -18,9 +18,8 @@ from modal.modes.response_synthesis import frf
 from modal.plots.order import POLE_ROLES, colour_measure, order_fits, singular_values, stabilisation_diagram
 from modal.plots.panels import STYLE, Curve, Panel
 from modal.recording.figure import Palette, Pane, RecordingStream, colour_of, log_chart, rr, seen_at
-from modal.recording.plan import Plan
+from modal.recording.plan import Plan, known, log_table, table
 from modal.recording.series import TIMELINE
-from modal.recording.tables import known, log_table, table
 from modal.verdict.stabilisation import StabilisationPoint
 from okid.arrays import FloatArray
 

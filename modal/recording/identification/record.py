@@ -13,7 +13,7 @@ from modal.plots.layout import grid_of
 from modal.plots.panels import IN_TURN, STYLE
 from modal.plots.responses import density_label
 from modal.preparation.channel import Finding
-from modal.quality.findings import DataQuality
+from modal.quality.check import DataQuality
 from modal.recording.figure import (
     COLOURS,
     Colour,
@@ -28,9 +28,21 @@ from modal.recording.figure import (
     series_view,
 )
 from modal.recording.identification.fit import inputs_view
-from modal.recording.plan import DataPlan, Views, cell, label, name_with_unit
+from modal.recording.plan import (
+    DataPlan,
+    Views,
+    WordLimits,
+    bullets,
+    cell,
+    known,
+    label,
+    log_table,
+    log_text,
+    name_with_unit,
+    table,
+    unit_cell,
+)
 from modal.recording.series import TIMELINE, Interpolation, Line, log_lines, time_axis
-from modal.recording.tables import WordLimits, bullets, known, log_table, log_text, table, unit_cell
 from okid.record import Record
 
 

@@ -11,7 +11,7 @@ import pytest
 
 import modal.command.run
 from modal.command.main import status
-from modal.command.view import recording_of
+from modal.command.results import recording_of
 from modal.discrepancy.setup import check_records
 from modal.identification import pipeline
 from modal.report import folder, writing

@@ -6,9 +6,9 @@ import sys
 
 import pytest
 
-import modal.command.view
+import modal.command.results
 from modal.command.main import status as _status
-from modal.command.view import find_viewer, recording_of
+from modal.command.results import find_viewer, recording_of
 from okid.errors import UnreadableFileError
 
 
@@ -36,7 +36,7 @@ def started(monkeypatch):
             commands.append(command)
 
     monkeypatch.setattr(subprocess, "Popen", Popen)
-    monkeypatch.setattr(modal.command.view, "find_viewer", lambda: "/bin/rerun")
+    monkeypatch.setattr(modal.command.results, "find_viewer", lambda: "/bin/rerun")
     monkeypatch.setenv("DISPLAY", ":0")
     return commands
 
@@ -89,7 +89,7 @@ def test_without_a_display_the_command_is_said(folder, started, capsys, monkeypa
 
 
 def test_without_a_viewer_the_command_is_said(folder, started, capsys, monkeypatch):
-    monkeypatch.setattr(modal.command.view, "find_viewer", lambda: None)
+    monkeypatch.setattr(modal.command.results, "find_viewer", lambda: None)
     (folder / "a b").mkdir()
     (folder / "a b" / "recording.rrd").write_bytes(b"RRF2")
     assert _status(["view", "a b"]) == 1

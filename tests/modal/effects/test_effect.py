@@ -23,8 +23,7 @@ from modal.effects.effect import (
     share_of_end,
 )
 from modal.effects.inputs import InputGain
-from modal.effects.missing_mode import MissingMode
-from modal.effects.outside_forces import ConstantForce
+from modal.effects.outside_forces import ConstantForce, MissingMode
 from modal.effects.sensors import SensorGain
 from modal.effects.springs import CubicStiffness
 from okid.errors import InvalidDataError

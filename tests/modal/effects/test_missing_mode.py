@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modal.effects.effect import Motion, Situation
-from modal.effects.missing_mode import MissingMode
+from modal.effects.outside_forces import MissingMode
 
 seeds = st.integers(0, 2**31)
 frequencies = st.floats(0.2, 40.0)

@@ -9,7 +9,7 @@ from roving import unknown_forces
 
 from modal.preparation.channel import Finding
 from modal.quality import check_quality
-from modal.quality.findings import DataQuality
+from modal.quality.check import DataQuality
 from okid.errors import InvalidDataError
 from okid.record import Record
 from okid.rows import join_setups

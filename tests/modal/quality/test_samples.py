@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from modal.preparation.samples import gap_findings, length_findings, missing_findings, sharp_samples, spike_findings
+from modal.preparation.channel import gap_findings, length_findings, missing_findings, sharp_samples, spike_findings
 from modal.quality import check_quality
 from modal.quality.channels import is_steady, level_findings, offset_findings
 from okid.record import Record

@@ -8,9 +8,8 @@ import pytest
 from page_reader import views
 
 from modal.recording import save_recording
-from modal.recording.plan import gather, planned
+from modal.recording.plan import WordLimits, bullets, gather, planned
 from modal.recording.stream import GLOBAL_AXIS, blueprint
-from modal.recording.tables import WordLimits, bullets
 from okid.errors import InvalidDataError
 from okid.record import Record
 

@@ -12,7 +12,7 @@ from page_reader import views
 
 from modal.discrepancy.results import in_words
 from modal.recording import log_diagnosis, save_recording
-from modal.recording.discrepancy.series import planned_diagnosis
+from modal.recording.discrepancy import planned_diagnosis
 from modal.recording.stream import diagnosis_blueprint, diagnosis_id
 from okid.errors import InvalidDataError
 

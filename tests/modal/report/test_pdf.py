@@ -3,8 +3,8 @@ import stat
 
 import pytest
 
-from modal.report import pdf
-from modal.report.pdf import NoBrowserError, find_browser, write_pdf
+from modal.report import folder
+from modal.report.folder import NoBrowserError, find_browser, write_pdf
 from okid.errors import InvalidDataError
 
 PAGE = "<!DOCTYPE html><title>x</title><style>@page{size:A4} p{break-after:page}</style><p>one</p><p>two</p>"
@@ -63,7 +63,7 @@ def test_a_browser_that_fails_leaves_nothing(page, browser, script, words):
 
 def test_a_browser_that_hangs_is_stopped(page, browser, monkeypatch):
     browser("exec sleep 30")
-    monkeypatch.setattr(pdf, "LONGEST_WAIT", 0.2)
+    monkeypatch.setattr(folder, "LONGEST_WAIT", 0.2)
     with pytest.raises(NoBrowserError, match="within 0 s"):
         write_pdf(page, page.with_suffix(".pdf"))
 

@@ -8,7 +8,7 @@ import pytest
 from modal.discrepancy.results import in_words
 from modal.discrepancy.validation.summary import with_cautions
 from modal.sections import discrepancy_words as words
-from modal.sections.discrepancy_values import (
+from modal.sections.discrepancy_stages import (
     NAMED_WITHIN,
     beside_text,
     found_hypothesis,

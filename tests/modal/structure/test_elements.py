@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modal.structure.elements import (
+from modal.structure.structural_plant import (
     Element,
     chain_elements,
     coupled_elements,

@@ -9,9 +9,9 @@ from engine_records import DT, held_noise, run
 from systems import chain_matrices, structure
 
 from modal.structure import structural_model
-from modal.structure.elements import Element
 from modal.structure.given import simulate
 from modal.structure.structural_model import StructuralModel
+from modal.structure.structural_plant import Element
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import Record
 

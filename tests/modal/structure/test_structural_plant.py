@@ -6,10 +6,9 @@ import scipy
 from systems import chain_matrices, structure
 
 from modal.simulation.plant import Plant, PlantMatrices, plant_matrices, with_masses
-from modal.structure.elements import Element
 from modal.structure.plant_model import PlantModel
 from modal.structure.structural_model import StructuralModel
-from modal.structure.structural_plant import place_name, structural_plant
+from modal.structure.structural_plant import Element, place_name, structural_plant
 from okid.errors import InvalidDataError
 
 MASSES, SPRINGS, DAMPERS = [1.5, 0.8, 1.1], [900.0, 700.0, 400.0], [0.9, 0.4, 0.3]

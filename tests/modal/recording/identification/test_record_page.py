@@ -8,7 +8,7 @@ import pytest
 from modal.modes.response_synthesis import MeasuredFrf
 from modal.preparation.channel import Finding
 from modal.quality import check_quality
-from modal.quality.findings import ChannelQuality, ChannelStatistics, DataQuality
+from modal.quality.check import ChannelQuality, ChannelStatistics, DataQuality
 from modal.recording import save_recording
 from modal.recording.identification.record import RecordLimits, marked
 from modal.recording.plan import gather, planned

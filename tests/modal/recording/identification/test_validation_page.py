@@ -7,7 +7,7 @@ import pytest
 
 from era.realisation import Realisation
 from modal.recording import save_recording
-from modal.recording.identification.validation import drawn_inputs
+from modal.recording.identification.fit import drawn_inputs
 from modal.recording.plan import gather, planned, response_of
 from okid.record import Record
 
