@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from okid.arrays import BoolArray, ComplexArray, FloatArray
+from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
 
 FEWEST = 40
 """Ask nothing of fewer rows."""
@@ -45,6 +45,8 @@ PAIRS = 4
 """and go on from so many of the nearest to the record."""
 ALIKE = 0.9
 """Take the lowest of lines that are as strong as this: samples that are missing in turns make images above a line."""
+LINES = 10
+"""Look for errors that ring with a mode at so many lines to either side: twice what an oscillator's numbers reach."""
 MODE = np.array([True] * 3 + [False] * 7)
 """Parameters of one linear mode: angular frequency, damping ratio, phase;"""
 STEPS = tuple(np.array([True] * n + [False] * (10 - n)) for n in (4, 7, 10))
@@ -100,6 +102,17 @@ class Decay:
             rotated, _ = np.linalg.qr(part)
             rest[np.ix_(rows, own)] = values - rotated @ (rotated.T @ values)
         return rest
+
+    def alike(self, left: FloatArray) -> float:
+        """How many values of what is left tell as much of the line as one of white noise, and no less than 1.
+
+        What still drives a mode while it rings down makes errors that ring with it, in all outputs: the largest sum of
+        these, at lines half a cycle in the record apart, over what white noise of every output has there.
+        """
+        apart = np.arange(-LINES, LINES + 1) * np.pi / max(float(self.times[-1] - self.times[0]), 1.0)
+        lines = np.exp(-1j * np.outer(self.turns + apart, self.times)) @ left
+        lines /= np.sqrt(np.maximum(np.square(left).sum(axis=0), TINY))
+        return max(1.0, float(np.linalg.norm(lines, 2) ** 2 / len(apart)))
 
     def misfit(self, left: FloatArray) -> float:
         """-2 ln L of white noise of each output's own size, but for a constant."""
@@ -226,15 +239,21 @@ def _least(
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Contender:
-    """Misfit, parameters, and how many of them are free."""
+    """Misfit, parameters, how many of them are free, and how many values of what it leaves are worth one."""
 
     misfit: float
     parameters: FloatArray
     n_free: int
+    alike: float
 
     def criterion(self, decay: Decay) -> float:
         """Schwarz's, but for the sizes."""
         return self.misfit + self.n_free * float(np.log(decay.there.sum()))
+
+
+def _contender(decay: Decay, columns: Columns, values: FloatArray, n_free: int) -> Contender:
+    left = decay.left(columns(values, decay.times))
+    return Contender(misfit=decay.misfit(left), parameters=values, n_free=n_free, alike=decay.alike(left))
 
 
 def oscillator_of(decay: Decay, linear: FloatArray) -> Contender | None:
@@ -280,8 +299,7 @@ def _fitted(decay: Decay, reading: int, steps: tuple[BoolArray, ...], linear: Fl
                 steps = steps[number:]
                 break
             if cost <= most:
-                misfit = decay.misfit(decay.left(columns(values, decay.times)))
-                found.append(Contender(misfit=misfit, parameters=values, n_free=int(free.sum())))
+                found.append(_contender(decay, columns, values, int(free.sum())))
         if cost > most:
             return None
     return min(found, key=lambda fit: fit.criterion(decay))
@@ -298,9 +316,7 @@ def modes_of(decay: Decay, start: FloatArray, *, whole: bool) -> Contender:
     values = start.ravel()
     for part in [decay] if whole else [decay.first(n) for n in _longer(decay)]:
         _, values = _least(part, columns, values, bounds, free)
-    return Contender(
-        misfit=decay.misfit(decay.left(columns(values, decay.times))), parameters=values, n_free=values.size
-    )
+    return _contender(decay, columns, values, values.size)
 
 
 def waves(modes: FloatArray, times: FloatArray) -> FloatArray:

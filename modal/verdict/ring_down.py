@@ -9,6 +9,9 @@ on its level, with two modes, free in every output, and with a few that are abou
 beat, and no line. Of poles far from the line that is asked about, other modes, harmonics, hum and drift, all of them
 may have as much as they like.
 
+What still drives a mode while it rings down makes errors that ring with it, in every output: so many of their values
+are worth one of white noise, in the criterion's misfits and in its prices.
+
 Where no such oscillator is near either, the poles side by side are still not found again one by one. Whoever is found
 among them is no mode for that: modes that are certain are most of what rings down.
 
@@ -238,7 +241,7 @@ def contest_of(
     if not asked_of:
         return None
     crowd = max(len(certain) for _, _, certain, _ in asked_of)
-    misfits, prices, numbers, found = np.zeros(5), np.zeros(5), np.zeros(5), []
+    misfits, totals, numbers, found = np.zeros(5), np.zeros(4), np.zeros(5), []
     for decay, linear, certain, dt in asked_of:
         own = oscillator_of(decay, linear)
         if own is None and not whole and crowd <= FEW:
@@ -252,13 +255,16 @@ def contest_of(
         free = np.array([0 if own is None else own.n_free, *(one.n_free, two.n_free, few.n_free, 2 * len(certain))])
         sizes = np.array([1, *(2 * n for n in n_modes)])
         rivals = [fit.misfit for fit in (one, two, few)]
-        misfits += [np.inf if own is None else own.misfit, *rivals, decay.misfit(np.nan_to_num(linear))]
-        prices += free * np.log(n_values.sum()) + sizes * np.log(n_values).sum()
+        each = np.array([np.inf if own is None else own.misfit, *rivals, decay.misfit(np.nan_to_num(linear))])
+        worth = 1.0 if own is None else own.alike
+        misfits += each
+        prices = free * np.log(n_values.sum() / worth) + sizes * np.log(np.maximum(n_values / worth, 1.0)).sum()
+        totals += (each / worth + prices)[:4]  # Schwarz's criterion
         numbers += free + sizes * len(n_values)
         found.append((float(np.nanvar(decay.seen)), decay, own, two.misfit, dt))
     # the end of what was cut may tell close modes apart
     cut = any(decay.turns * decay.times[-1] > 2 * np.pi * (MOST_CYCLES - 1) for _, decay, _, _, _ in found)
-    totals, by_chance = misfits + prices, misfits + 2 * numbers  # Schwarz's criterion, and Akaike's
+    by_chance = misfits + 2 * numbers  # Akaike's
     _, strongest, own, _, dt = max(found, key=lambda one: one[0])
     n_values = sum(int(decay.there.sum()) for _, decay, _, _, _ in found)
     # likelier, and nearer than two modes with their more numbers: a beat is a line to whoever has few
