@@ -526,6 +526,8 @@ def circumstances_of(plant: Plant, fits: Sequence[Record], node: Node) -> frozen
     per_mass = [port for port in plant.ports if port.mass is not None and port.force_unit == f"{port.length_unit}/s^2"]
     if per_mass and "one_dof" not in found:
         found.add("unknown_masses")  # forces are counted per effective mass
+    if node.masses and plant.n_inputs == 1:
+        found.add("other_masses")
     if plant.n_outputs == 1:
         found.add("one_output")
     sizes = [float(np.sqrt(np.nansum(np.nanvar(r.inputs if r.n_inputs else r.outputs, axis=0)))) for r in fits]

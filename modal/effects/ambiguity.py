@@ -10,11 +10,20 @@ from dataclasses import dataclass
 from typing import Literal
 
 Circumstance = Literal[
-    "one_dof", "unknown_masses", "one_output", "one_level", "one_way", "half_a_sample", "small_motion", "large_motion"
+    "one_dof",
+    "unknown_masses",
+    "other_masses",
+    "one_output",
+    "one_level",
+    "one_way",
+    "half_a_sample",
+    "small_motion",
+    "large_motion",
 ]
-"""What may hold of a plant and its records: one degree of freedom; a structure given as a state space; one measured
-output; records of about one level; a velocity at the place that never reverses; a delay that is half a sample off
-whole ones; motion small, or large, against the length that shapes the law."""
+"""What may hold of a plant and its records: one degree of freedom; a structure given as a state space; one input and
+masses that are not those of the model as given; one measured output; records of about one level; a velocity at the
+place that never reverses; a delay that is half a sample off whole ones; motion small, or large, against the length that
+shapes the law."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,6 +65,14 @@ AMBIGUOUS: tuple[AmbiguityClass, ...] = (
         when="a state space does not tell its masses: a displacement counted g times as large is that of a mass g^2 "
         "times as light, with stiffnesses to match",
         separates="the mass there from the drawing or a scale, or a known mass added to it",
+    ),
+    AmbiguityClass(
+        effects=("input_gain",),
+        besides=("scale of all masses, stiffnesses and dampings",),
+        circumstance="other_masses",
+        when="one input drives a structure whose masses are free: a drive g times as strong is masses, stiffnesses and "
+        "dampings g times as small",
+        separates="one of the masses from the drawing or a scale, or a known mass added to the structure",
     ),
     AmbiguityClass(
         effects=("coulomb_friction", "constant_force"),

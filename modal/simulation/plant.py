@@ -227,3 +227,32 @@ def with_masses(plant: Plant, names: Collection[str]) -> Plant:
         parameters=(*plant.parameters[:first], *(one.parameter for one in chosen)),
         masses=tuple(one for one in every if one not in chosen),
     )
+
+
+def with_wider_masses(plant: Plant, factor: float) -> Plant:
+    """The plant whose masses, released or held, may be off by so many times the factor that they may now.
+
+    A mass m stays between m - d (1 - 1/f) and m + d (f - 1), where d is as much of it as the mass matrix can do without
+    before it is no longer positive definite: f grows, d stays.
+
+    Example:
+        >>> from modal.structure.structural_model import StructuralModel
+        >>> from modal.structure.structural_plant import structural_plant
+        >>> model = StructuralModel.chain([2.0, 1.0], [8.0, 8.0], [0.1, 0.1], force_dofs=0, sensor_dofs=0)
+        >>> mass, _ = with_wider_masses(structural_plant(model), 2.0).masses
+        >>> round(float(mass.parameter.lower), 4), round(float(mass.parameter.upper), 4)
+        (0.7692, 5.2)
+    """
+
+    def wider(one: LinearParameter) -> LinearParameter:
+        down, up = one.nominal - one.lower, one.upper - one.nominal
+        if not one.name.startswith(MASS) or not 0.0 < down < up:
+            return one
+        f, d = factor * up / down, min(up * down / (up - down), one.nominal)
+        return replace(one, lower=one.nominal - d * (1.0 - 1.0 / f), upper=one.nominal + d * (f - 1.0))
+
+    return replace(
+        plant,
+        parameters=tuple(wider(one) for one in plant.parameters),
+        masses=tuple(replace(one, parameter=wider(one.parameter)) for one in plant.masses),
+    )

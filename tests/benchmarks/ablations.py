@@ -116,11 +116,11 @@ MECHANISMS = (
     Mechanism(says="no firm corner where a smooth law does as well", where=f"{DECISION}:_cornered", off=first),
     Mechanism(says="a known value is not free", where=f"{DECISION}:_found_as_known", off=zero),
     Mechanism(says="no firm name for three effects or a bad fit", where=f"{DECISION}:_unproved", off=empty),
-    Mechanism(says="no firm name for undetermined shapes", where=f"{DECISION}:_undetermined", off=empty),
+    Mechanism(says="no firm name for undetermined shapes", where=f"{DECISION}:undetermined", off=empty),
     Mechanism(says="no firm name that neighbours fit as well", where=f"{LACK}:undecided_laws", off=empty),
     Mechanism(says="what two outputs share is no noise", where=f"{LACK}:_in_common", off=empty),
     Mechanism(says="noise of sensors beside nothing", where="modal.discrepancy.setup:_from_sensors", off=false),
-    Mechanism(says="no firm name for absurd gains", where=f"{DECISION}:_doubted_gains", off=empty),
+    Mechanism(says="no firm name for absurd gains", where=f"{DECISION}:doubted_gains", off=empty),
     Mechanism(says="no firm name where something is left", where=f"{LACK}:what_is_left", off=nothing_left),
     Mechanism(says="the other hold", where="modal.discrepancy.validation.other_hold:by_the_better_hold", off=first),
 )

@@ -154,11 +154,11 @@ def _case(rng, *, n_dofs, sensors, kind="displacement", effect, where, size, cha
     )  # fmt: skip
 
 
-def wrong_mass(seed):
-    """One of two or three masses is 5 to 20 % off."""
+def wrong_mass(seed, shares=(0.05, 0.2)):
+    """One of two or three masses is 5 to 20 % off, or by other shares of what is believed."""
     rng = np.random.default_rng([1, seed])
     n = 2 + seed % 2
-    dof, share = int(rng.integers(n)), float(rng.uniform(0.05, 0.2) * rng.choice([-1, 1]))
+    dof, share = int(rng.integers(n)), float(rng.uniform(*shares) * rng.choice([-1, 1]))
 
     def change(rng, system, plant, inputs):
         believed = plant["masses"].copy()

@@ -19,7 +19,7 @@ from modal.discrepancy.fitting.estimation import Estimate, Problem, covariance, 
 from modal.discrepancy.fitting.observer_form import LOST, LostMotion, graded_run, observer_gain
 from modal.effects.effect import Effect, is_sharp
 from modal.simulation.assembly import Assembly, Unknowns, assemble
-from modal.simulation.plant import released_masses, with_masses
+from modal.simulation.plant import released_masses, with_masses, with_wider_masses
 from modal.simulation.scheme import Budget
 from modal.simulation.tolerances import AT_FLOOR, explained
 from modal.simulation.trajectory import SHARP
@@ -383,7 +383,7 @@ def explains_both(node: Node) -> bool:
 
 
 WIDER = 4.0
-"""Move the bounds of linear parameters out by this factor where they are in the way."""
+"""Move the bounds of linear parameters, and of masses, out by this factor where they are in the way."""
 
 
 def calibrated_node(start: Estimate, task: Task) -> Node:
@@ -440,7 +440,9 @@ ITERATIONS = 12
 def with_released_masses(node: Node, task: Task) -> Node | None:
     """The model with all its masses free, and only those that it needs where it explains the records.
 
-    None where no mass may be wrong, or the model cannot be simulated so.
+    Within wider bounds where these explain the records and those given do not: held at its bound, a mass that is
+    further off leaves the rest of itself for a gain or a hung mass to take up. None where no mass may be wrong, or the
+    model cannot be simulated so.
     """
     coarse = node.coarse
     names = [one.parameter.name for one in coarse.assembly.plant.masses]
@@ -452,7 +454,22 @@ def with_released_masses(node: Node, task: Task) -> Node | None:
     if start is None:
         return None
     found = node_of(fitted_either_way(start, task.fit, iterations=ITERATIONS), task)
+    found = _beyond_tolerance(found, task) or found
     return needed_masses(found, task) if explained(found.held_out_level) else found
+
+
+def _beyond_tolerance(found: Node, task: Task) -> Node | None:
+    """The model with masses further off than they may be; None where that is not needed or explains nothing."""
+    coarse, names = found.coarse, [one.name for one in found.coarse.assembly.plant.parameters]
+    stuck = coarse.at_bounds[[names.index(name) for name in found.masses]].any()
+    if found.held_out_level <= AT_FLOOR or not stuck:
+        return None
+    assembly = replace(coarse.assembly, plant=with_wider_masses(coarse.assembly.plant, WIDER))
+    wide = simulate_at(assembly, coarse.unknowns, task.fit, states=coarse.trajectory.states, smoothing=coarse.smoothing)
+    if wide is None:
+        return None
+    free = node_of(fitted_either_way(wide, task.fit, iterations=ITERATIONS), task)
+    return free if max(free.fit_level, free.held_out_level) <= AT_FLOOR else None
 
 
 def needed_masses(node: Node, task: Task) -> Node:

@@ -174,13 +174,12 @@ RIVAL_SHARP = 1.03
 """Follow only rivals within this factor where the fits are sharp already: costs compare then."""
 
 
-def expand(node: Node, task: Task) -> list[Node]:
-    """Models with one effect more, or with other masses."""
+def expand(node: Node, task: Task, heavier: Sequence[Node] | None = None) -> list[Node]:
+    """Models with one effect more, or with other masses, which are fitted unless they were before."""
     observed, candidates = seen(node, task)
     if node.held_out_level <= AT_FLOOR and (not candidates or candidates[0].fall < SMALLEST_FALL):
         return []
-    heavier = with_released_masses(node, task)
-    found: list[Node] = [] if heavier is None else [heavier]
+    found = list(_heavier(node, task) if heavier is None else heavier)
     if found and found[0].held_out_level <= AT_FLOOR and _clear(found, node):
         candidates = [one for one in candidates if one.placement.effect.like_a_mass]
     while candidates:
@@ -192,6 +191,29 @@ def expand(node: Node, task: Task) -> list[Node]:
         if _clear(found, node) and (node.effects or _reached(found) <= FAR_ABOVE):
             break
     return found
+
+
+def _heavier(node: Node, task: Task) -> list[Node]:
+    """The model with other masses; none where no mass may be wrong."""
+    found = with_released_masses(node, task)
+    return [] if found is None else [found]
+
+
+def _masses_first(front: Sequence[Node], task: Task) -> list[tuple[Node, list[Node] | None]]:
+    """The models to go on from, each with itself with other masses: first those that these make explain the data.
+
+    Of two laws beside a wrong mass the wrong one may lead, and another effect beside it costs many times what the
+    masses do. A model without effects has no rival to go before.
+    """
+    if not any(node.effects for node in front):
+        return [(node, None) for node in front]
+    both: list[tuple[Node, list[Node] | None]] = []
+    for i, node in enumerate(front):
+        heavier = _heavier(node, task)
+        if _explain(heavier):
+            return [(node, heavier), *both, *((other, None) for other in front[i + 1 :])]
+        both.append((node, heavier))
+    return both
 
 
 def _clear(found: Sequence[Node], node: Node) -> bool:
@@ -395,14 +417,14 @@ def search_effects(
         children: list[Node] = []
         hopeful: list[Node] = []
         here = np.inf
-        for position, node in enumerate(front):
+        for position, (node, heavier) in enumerate(_masses_first(front, task)):
             if task.budget.left <= 0.0:
                 here, cut = depth + 1, True
                 break
             share = (depth + position / len(front)) / MOST_EFFECTS
             task.report(f"looking for effect {depth + 1} beside {_named(node)}", share)
             part = task.budget.part(SHARE_OF_ONE)
-            beside = expand(node, replace(task, budget=part))
+            beside = expand(node, replace(task, budget=part), heavier)
             simpler = (merged(child, task) for child in beside if counts(node, child, task))
             beside += [one for one in simpler if one is not None]
             everything += beside

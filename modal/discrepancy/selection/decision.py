@@ -24,7 +24,6 @@ from modal.discrepancy.fitting.nodes import (
     Task,
     counts,
     explains_both,
-    grid_error,
     log_likelihood_gain,
     needed_masses,
 )
@@ -32,7 +31,7 @@ from modal.discrepancy.fitting.observed_fits import CLEAR
 from modal.discrepancy.results import EVEN, Finding, LackOfFit, LawCurve, masses_text, worst_left, worst_text
 from modal.discrepancy.selection.beam import search_effects
 from modal.discrepancy.selection.form_free import CurveSearch
-from modal.discrepancy.selection.lack_of_fit import SLIGHT, lack_of_fit, undecided_laws, what_is_left
+from modal.discrepancy.selection.lack_of_fit import lack_of_fit, undecided_laws, what_is_left
 from modal.discrepancy.selection.smaller_models import (
     AbsorbedGain,
     absorbed_gain,
@@ -41,9 +40,10 @@ from modal.discrepancy.selection.smaller_models import (
     sureness,
     without,
 )
+from modal.discrepancy.selection.undetermined import doubted_gains, undetermined
 from modal.discrepancy.setup import BY_MODEL, Setup, circumstances_of, with_coloured_floor, with_uncovered_floor
 from modal.effects.ambiguity import ambiguous_with
-from modal.effects.catalogue import effect_name, effects_at
+from modal.effects.catalogue import effects_at
 from modal.effects.effect import is_form_free
 from modal.simulation.assembly import EffectPlacement
 from modal.simulation.scheme import Budget
@@ -253,7 +253,8 @@ def _judged(best: Node, others: Sequence[Node], root: Node, task: Task, fits: Se
             f"{percent(float(share))} of the held-out gap above the noise is left: noise of another colour, or a force "
             "that nobody measured"
         )
-    reasons += _unproved(best, root) + _undetermined(best, root, task) + _doubted_gains(best, root) + refused
+    reasons += _unproved(best, root) + undetermined(best, root, task, fits, circumstances)
+    reasons += doubted_gains(best, root) + refused
     reasons += _untried(best, task, most=len(best.effects) - len(root.effects))
     reasons += [] if reasons else undecided_laws(best, task, known=len(root.effects))
     return Decision(
@@ -336,23 +337,6 @@ def criterion(node: Node, root: Node, task: Task) -> float:
 
 def _found(best: Node, root: Node) -> tuple[EffectPlacement, ...]:
     return best.coarse.assembly.placements[len(root.effects) :]
-
-
-def _undetermined(best: Node, root: Node, task: Task) -> list[str]:
-    """Lengths, times and frequencies of a law that the data do not fix: the law is one of its limits."""
-    grid = grid_error(best)
-    spread = np.hypot(np.sqrt(np.maximum(np.diag(covariance(best.coarse, task.fit))[: grid.size], 0.0)), grid)
-    assembly, reasons = best.coarse.assembly, []
-    for i, item in enumerate(assembly.placements[len(root.effects) :], start=len(root.effects)):
-        span = assembly.common_of(i)
-        for j, value, deviation in zip(item.common, best.fitted.unknowns.common[span], spread[span], strict=False):
-            kind = item.effect.parameters[j]
-            if kind.role == "shape" and any(kind.dimension) and not abs(value) > deviation:  # nor is a zero at a bound
-                reasons.append(
-                    f"the {kind.meaning} of {effect_name(item.effect.key)} at {item.where} is not determined "
-                    f"({number(value)} +- {number(deviation)}): one of its limits explains the data as well"
-                )
-    return reasons
 
 
 def _unproved(best: Node, root: Node) -> list[str]:
@@ -515,35 +499,3 @@ def _weak(smaller: Node, best: Node, z: float) -> bool:
     The size of a hard limit (a brim, a stop) is hardly known where anything large will do: only the error tells.
     """
     return z < LEAST_SURE and smaller.held_out_level < CLEAR_RISE * best.held_out_level
-
-
-PLAUSIBLE_GAIN = (0.3, 3.0)
-"""Doubt a gain beyond these: a unit is wrong (a thousand, g, degrees)."""
-HARDLY_FOLLOWS = 0.03
-"""Call a channel dead or another one where its gain is below this size."""
-
-
-def _doubted_gains(best: Node, root: Node) -> list[str]:
-    """Why a gain far from one, a wrong unit, or one that hardly differs from one, is not firm."""
-    reasons = []
-    for item, i in zip(_found(best, root), range(len(root.effects), len(best.effects)), strict=True):
-        if item.effect.key in {"input_gain", "sensor_gain"}:
-            gain = float(best.coarse.unknowns.common[best.coarse.assembly.common_of(i).start])
-            if not PLAUSIBLE_GAIN[0] <= gain <= PLAUSIBLE_GAIN[1]:
-                reasons.append(doubted_gain(gain, item.where))
-            elif abs(gain - 1.0) < SLIGHT:
-                reasons.append(
-                    f"a gain of {number(gain, 4)} at {item.where} is within a hundredth of one, which no gauge is sure "
-                    "of and errors of a simulation look like"
-                )
-    return reasons
-
-
-def doubted_gain(gain: float, where: str) -> str:
-    """What a gain far from one looks like; a thousandth may be a unit or a dead channel, so both are named."""
-    words = f"a gain of {number(gain)} at {where} looks like"
-    if abs(gain) < HARDLY_FOLLOWS:
-        return f"{words} a dead or wrong channel, or a wrong unit: check the wiring and the units of the records"
-    if PLAUSIBLE_GAIN[0] <= -gain <= PLAUSIBLE_GAIN[1]:
-        return f"{words} a turned direction: check the sign of the channel"
-    return f"{words} a wrong unit: check the units of the records"

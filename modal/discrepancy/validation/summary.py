@@ -19,9 +19,10 @@ from modal.discrepancy.results import (
     Step,
     explained_words,
 )
-from modal.discrepancy.selection.decision import Decision, doubted_gain
+from modal.discrepancy.selection.decision import Decision
 from modal.discrepancy.selection.form_free import unsettled
 from modal.discrepancy.selection.screening import Candidate, screen_candidates
+from modal.discrepancy.selection.undetermined import GAINS, doubted_gain
 from modal.discrepancy.setup import Setup, circumstances_of, simulated_outputs
 from modal.discrepancy.validation.law_curves import law_curves
 from modal.discrepancy.validation.other_hold import half_a_sample, hold_words
@@ -384,7 +385,13 @@ def _of_the_delay(best: Node, dt: float) -> frozenset[Circumstance]:
 
 def _gain_words(decision: Decision, circumstances: frozenset[Circumstance]) -> tuple[str, ...]:
     """A gain that stands for the scale of the whole model scales every force found beside it."""
-    gains = [key for key, _ in decision.node.effects if key in {"input_gain", "sensor_gain"}]
+    gains = [key for key, _ in decision.node.effects if key in GAINS]
+    if "other_masses" in circumstances and "input_gain" in gains:
+        words = (
+            "input gain cannot be told from the scale of all masses, stiffnesses and dampings, now that masses are "
+            "free: those found beside it are right only up to that factor; weigh one of the masses"
+        )
+        return (words,)
     if not gains or "one_dof" not in circumstances:
         return ()
     words = (
@@ -473,7 +480,7 @@ def spoiled_words(found: Diagnosis) -> list[str]:
 def free_words(found: Diagnosis) -> list[str]:
     """What a calibration may take up that is free in every force between the states of a state space."""
     free = [one for one in found.calibrated if one.name.startswith(INTERNAL_FORCE)]
-    gains = any(one.effect in {"input_gain", "sensor_gain"} for one in found.findings)
+    gains = any(one.effect in GAINS for one in found.findings)
     if not free or gains:
         return []
     words = (
@@ -487,7 +494,7 @@ def unit_words(found: Diagnosis) -> tuple[list[str], list[str]]:
     """Sentences on gains that look like a certain conversion of units, and those of the decision that say less."""
     sentences, vague = [], []
     for one in found.findings:
-        if one.effect in {"input_gain", "sensor_gain"}:
+        if one.effect in GAINS:
             gain = one.parameters[0]
             if words := unit_error(gain.value, gain.std):
                 sentences.append(

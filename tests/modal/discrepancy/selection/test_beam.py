@@ -1,6 +1,7 @@
 """What the search need not fit: counted, because these rules change cost only."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -57,3 +58,19 @@ def test_a_curve_that_leaves_more_than_a_name_in_free_run_is_not_followed(monkey
     assert asked[0].reached < root.fit_level
     monkeypatch.setattr(beam, "_free_run", lambda fit, *_: pytest.fail(f"{fit.level} was followed"))
     beam.expand(root, replace(asked[0], reached=0.0))
+
+
+def test_a_law_that_explains_the_data_with_other_masses_goes_before_one_that_leads_without(monkeypatch):
+    """Another effect beside the leader costs many times what the masses do, and the true law is then never reached."""
+    levels, asked = {"stops": 80.0, "cubic": 1.05, "curve": 1.0}, []
+
+    def released(node, _task):
+        asked.append(node.effects[0])
+        return SimpleNamespace(held_out_level=levels[node.effects[0]])
+
+    monkeypatch.setattr(beam, "with_released_masses", released)
+    front = [SimpleNamespace(effects=(name,)) for name in levels]
+    ordered = beam._masses_first(front, None)
+    assert [node.effects[0] for node, _ in ordered] == ["cubic", "stops", "curve"]
+    assert asked == ["stops", "cubic"]  # none is fitted for nothing, nor twice
+    assert [heavier is None for _, heavier in ordered] == [False, False, True]
