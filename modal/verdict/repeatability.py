@@ -7,7 +7,7 @@ a pole as well, and a mode would be lost to its alias.
 """
 
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Literal, NamedTuple
@@ -127,8 +127,10 @@ def repeat(
         if models:
             starts = models if folds == "blocks" or refined is None else [refined, *models]
             found = _refined(starts, again, held_out=1 - half, grown_to=model_order if grown else 0)
-            better = None if folds == "rows" or refined is None else _from_whole(refined, found, again, 1 - half)
-            runs.append(_judged_elsewhere(label, found.model, better, records, unseen))
+            whole_model = None if folds == "rows" else refined
+            better = None if whole_model is None else _from_whole(whole_model, found, again, 1 - half)
+            run = _judged_elsewhere(label, found.model, better, records, unseen)
+            runs.append(replace(run, evidence=_evidence(whole_model, records, [~rows for rows in unseen])))
     largest = min(decomposition.rank, decomposition.max_order)
     shorter = whole.truncated(min(other_order, observer_order))
     cuts = [_model(shorter, other_ridge, scaling, dt, n) for n in sizes]
@@ -148,11 +150,7 @@ def repeat(
         for n, _ in asked
     }
     if refined is not None and _off(tried, refined, again):
-        for n, cut in tried.items():
-            cuts = [_model(shorter, other_ridge, scaling, dt, size) for size in _starts(n, grown)]
-            models = [model for model in cuts if model is not None]
-            ridged = _refined(models, again, grown_to=n if grown else 0) if models else cut
-            tried[n] = min(cut, ridged, key=lambda one: one.error)
+        tried = _cut_otherwise(tried, again, grown, lambda n: _model(shorter, other_ridge, scaling, dt, n))
     for n, count in asked:
         modes = extract_modes(tried[n].model)
         change: Change = "lower order" if n < model_order else "higher order"
@@ -292,11 +290,23 @@ def _judged_elsewhere(
     gain = _gain(model, modes, records, unseen)
     if better is None or gain is None:
         return Rerun(label=label, change="data", modes=modes, gain=gain)
-    n_values = sum(int(np.count_nonzero(rows)) for rows in unseen) * records[0].n_outputs
-    ratios = np.array([f_ratio(mode, float(one), n_values) for mode, one in zip(modes.modes, gain, strict=True)])
-    kept = np.flatnonzero(ratios >= HARDLY_DRIVEN)
+    kept = np.flatnonzero(_ratios(modes, gain, unseen) >= HARDLY_DRIVEN)
     answering = replace(modes, modes=tuple(modes.modes[i] for i in kept.tolist()))
     return Rerun(label=label, change="data", modes=answering, gain=gain[kept])
+
+
+def _evidence(whole: Realisation | None, records: Sequence[Record], rows: Sequence[BoolArray]) -> FloatArray | None:
+    """(n_modes,) F ratio of each mode of the whole record's model on these rows: did they drive it?"""
+    if whole is None:
+        return None
+    modes = extract_modes(whole)
+    gain = _gain(whole, modes, records, rows)
+    return None if gain is None else _ratios(modes, gain, rows)
+
+
+def _ratios(modes: ModalModel, gain: FloatArray, rows: Sequence[BoolArray]) -> FloatArray:
+    n_values = sum(int(np.count_nonzero(own)) for own in rows) * (modes.modes[0].shape.size if modes.modes else 0)
+    return np.array([f_ratio(mode, float(one), n_values) for mode, one in zip(modes.modes, gain, strict=True)])
 
 
 def _off(tried: Mapping[int, _Found], whole: Realisation, again: _Refinement) -> bool:
@@ -353,6 +363,18 @@ def _other_orders(model_order: int, largest: int) -> list[int]:
     orders |= {model_order + step}
     others = sorted(n for n in orders if 0 < n <= largest and n != model_order)
     return others if others and others[-1] > model_order else []
+
+
+def _cut_otherwise(
+    tried: Mapping[int, _Found], again: _Refinement, grown: Grown, cut: Callable[[int], Realisation | None]
+) -> dict[int, _Found]:
+    """Each of the models, or the one of the same order that starts from another cut, whichever explains more."""
+    better = {}
+    for n, found in tried.items():
+        models = [model for model in map(cut, _starts(n, grown)) if model is not None]
+        other = _refined(models, again, grown_to=n if grown else 0) if models else found
+        better[n] = min(found, other, key=lambda one: one.error)
+    return better
 
 
 def _nearest(model_order: int, others: Sequence[int]) -> list[tuple[int, int]]:
