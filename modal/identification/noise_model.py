@@ -17,6 +17,7 @@ import numpy as np
 import scipy
 
 from era.realisation import Realisation
+from era.state_recursion import PoleRecursion
 from modal.estimation.cross_validation import scaled_model, scaled_record
 from modal.estimation.fits import model_runs
 from modal.estimation.free_run import can_be_foretold
@@ -48,6 +49,8 @@ from okid.record import Record
 from okid.residuals import NOT_WHITE, WHITENESS_LAGS, Whiteness, centred, input_correlation, whiteness
 from okid.scaling import ChannelScaling, channel_scaling
 
+ROUND_OFF = 1e-12
+"""Take a share of the answers to inputs for rounding below this."""
 ROUNDED = 1e-9
 """Take a share of a unit participation for rounding below this."""
 WHITE_AT = 1e-3
@@ -133,7 +136,7 @@ def noise_model(
     if start.n_inputs:
         fit, ratio = _apart(fit, ratio, start.order, data, start.dt)
     whole = innovation_form(fit.step, start.dt)
-    system = _system_part(whole, start.order) if start.n_inputs else whole
+    system = _system_part(whole, start.order, data) if start.n_inputs else whole
     if np.abs(np.linalg.eigvals(system.A)).max(initial=0.0) >= 1.0 or _follows_inputs(fit.step, data):
         return None, "the likeliest predictor is not stable, or its errors still follow the inputs"
     model = NoiseModel(
@@ -314,7 +317,7 @@ def _apart(fit: LikeliestFit, ratio: float, order: int, data: OutputError, dt: f
         return fit, ratio
     driven = replace(whole, B=np.hstack([whole.B, gain]), D=np.hstack([whole.D, np.zeros((q, q))]), K=None)
     basis = modal_basis(driven)
-    kept = _most_driven(basis, order, m)
+    kept = _most_driven(basis, order, [record.inputs[:, :m] for record in data.records])
     rest = sorted(set(range(basis.poles.size)) - set(kept))
     system, noise = _states_of(basis, kept), _states_of(basis, rest)
     n = len(system[0])
@@ -330,17 +333,45 @@ def _apart(fit: LikeliestFit, ratio: float, order: int, data: OutputError, dt: f
     return (fit, ratio) if apart is None or apart.criterion >= fit.criterion else (apart, white)
 
 
-def _most_driven(basis: ModalBasis, order: int, n_inputs: int) -> list[int]:
-    """The poles of the `order` states through which the first inputs act most, one less where that would cut a pair."""
+def _most_driven(basis: ModalBasis, order: int, inputs: Sequence[FloatArray]) -> list[int]:
+    """The poles of the `order` states that tell most of the answer to these first inputs; one less for a cut pair.
+
+    One after the other is left out whose loss the others, with any shapes, make up for best. Where no input moves,
+    participations are not determined: poles there have large answers that cancel, and by size alone modes of the system
+    would count as noise.
+    """
+    n_inputs, grows = inputs[0].shape[1], np.abs(basis.poles) >= 1.0
+    owner = np.concatenate([np.repeat(np.arange(grows.size), 2), np.full(n_inputs, -1)])
+    parts = np.zeros((owner.size, owner.size))
+    poles = np.where(grows, 0.0, basis.poles)  # told by its pole, and kept
+    for values in inputs:
+        recursion = PoleRecursion.of(poles, len(values))
+        drive = basis.inputs[:, :n_inputs] @ values.T
+        states, _ = recursion.run(drive.astype(np.complex128), np.zeros(poles.size, dtype=np.complex128))
+        signals = np.vstack([np.stack([states.real, states.imag], axis=1).reshape(-1, len(values)), values.T])
+        parts += signals @ signals.T
+    size = np.sqrt(np.diag(parts)) + np.finfo(float).tiny
+    parts = parts / np.outer(size, size) + ROUND_OFF * np.eye(owner.size)
+    shapes = np.where(basis.is_pair, 2.0, 1.0) * basis.outputs
+    wanted = np.vstack(
+        [
+            np.stack([shapes.real, -shapes.imag], axis=2).reshape(len(shapes), -1).T * size[: 2 * grows.size, None],
+            np.zeros((n_inputs, len(shapes))),
+        ]
+    )
+    cross = parts @ wanted
     n_states = np.where(basis.is_pair, 2, 1)
-    memory = 1.0 / np.maximum(1.0 - np.abs(basis.poles) ** 2, np.finfo(float).eps)
-    reach = np.linalg.norm(basis.inputs[:, :n_inputs], axis=1)
-    kept, total = [], 0
-    for i in np.argsort(-np.square(np.linalg.norm(basis.outputs, axis=0) * reach) * memory).tolist():
-        if total + n_states[i] <= order:
-            kept.append(i)
-            total += int(n_states[i])
-    return sorted(kept)
+    kept = list(range(grows.size))
+    while sum(n_states[kept]) > order and not grows[kept].all():
+        there = np.flatnonzero(np.isin(owner, [*kept, -1]))
+        inverse = np.linalg.inv(parts[np.ix_(there, there)])
+        fitted = inverse @ cross[there]
+        losses = {}
+        for pole in (one for one in kept if not grows[one]):
+            own = np.flatnonzero(owner[there] == pole)
+            losses[pole] = float((fitted[own] * np.linalg.solve(inverse[np.ix_(own, own)], fitted[own])).sum())
+        kept.remove(min(losses, key=lambda pole: losses[pole]))
+    return kept
 
 
 def _states_of(basis: ModalBasis, chosen: Sequence[int]) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -362,9 +393,10 @@ def _states_of(basis: ModalBasis, chosen: Sequence[int]) -> tuple[FloatArray, Fl
     return A, B, C
 
 
-def _system_part(whole: Realisation, order: int) -> Realisation:
-    """The `order` states through which the inputs act most, one less where that would cut a pair; else all, and K."""
+def _system_part(whole: Realisation, order: int, data: OutputError) -> Realisation:
+    """The `order` states that the inputs move most, one less where that would cut a pair; else all, and K."""
     if order >= whole.order:
         return whole
     basis = modal_basis(replace(whole, K=None))
-    return Realisation(*_states_of(basis, _most_driven(basis, order, whole.n_inputs)), whole.D, whole.dt)
+    kept = _most_driven(basis, order, [record.inputs[:, : whole.n_inputs] for record in data.records])
+    return Realisation(*_states_of(basis, kept), whole.D, whole.dt)

@@ -136,6 +136,8 @@ LEAST_PART = 0.42
 NOT_FOUND_BELOW = 0.1
 """Overlap that counts as not found at all."""
 SAME_FREQUENCY = 0.01
+CLEARLY_DRIVEN = 10.0 * HARDLY_DRIVEN
+"""F ratio in one half of the data from which another half that shows none did not drive the mode."""
 
 UNEVEN = (
     "Near {where} Hz what does not follow the inputs is {times} what blocks of this length leave of a linear "
@@ -172,12 +174,15 @@ class Rerun:
         modes: what was found.
         gain: (n_modes,) gain of each of them on the rows that this run did not see (`modal.verdict.excitation`), None
             where all rows were used.
+        evidence: (n_judged,) F ratio of each mode of the judged model on the rows that this run saw, None where that
+            was not asked.
     """
 
     label: str
     change: Change
     modes: ModalModel
     gain: FloatArray | None = None
+    evidence: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -311,7 +316,12 @@ def judge(
             *beyond_doubt(mode, own_band),
             *(() if clipped is None else clipping_doubt(mode, _shown_share(mode, clipped[i], reruns.output_scale))),
         )
-        verdict, words = _verdict(mode, p, ratio, numbers, _worse_order(found.parts[:, i], changes))
+        worst = {
+            "halves of the data": _worse_half(reruns, i),
+            "other observer order and ridge": "depends on the observer order and ridge",
+            "other model orders": _worse_order(found.parts[:, i], changes),
+        }
+        verdict, words = _verdict(mode, p, ratio, numbers, worst)
         words = (*resonance.get(i, ()), *words)
         if primary[i] != i and mode.kind == "oscillatory":
             words = (f"second pole of the mode at {model.modes[primary[i]].frequency:.4g} Hz", *words)
@@ -513,8 +523,15 @@ def _worse_order(parts: FloatArray, changes: tuple[Change, ...]) -> str:
     return "is lost at higher model order"
 
 
+def _worse_half(reruns: Reruns, index: int) -> str:
+    driven = [run.evidence[index] for run in reruns.runs if run.evidence is not None]
+    if driven and min(driven) < HARDLY_DRIVEN and max(driven) >= CLEARLY_DRIVEN:
+        return "only one part of the record drives it, so that it repeats cannot be shown"
+    return "the two halves of the data disagree about it"
+
+
 def _verdict(
-    mode: Mode, p: float, ratio: float, numbers: dict[str, float], worse_order: str
+    mode: Mode, p: float, ratio: float, numbers: dict[str, float], worst: dict[str, str]
 ) -> tuple[Verdict, tuple[str, ...]]:
     if mode.kind in ("unstable", "nyquist"):
         return "noise", ()
@@ -528,13 +545,8 @@ def _verdict(
         return verdict, (f"found again, but what the inputs make it do may be chance (F ratio {ratio:.1g})",)
     if max(numbers.values()) < NOT_FOUND_BELOW:
         return verdict, (f"not found again ({shown})",)
-    phrases = {
-        "halves of the data": "the two halves of the data disagree about it",
-        "other observer order and ridge": "depends on the observer order and ridge",
-        "other model orders": worse_order,
-    }
     smallest = min(numbers, key=lambda group: numbers[group])
-    return verdict, (f"{phrases[smallest]} ({shown})",)
+    return verdict, (f"{worst[smallest]} ({shown})",)
 
 
 def _mean_gain(found: Repeatability, reruns: Reruns, index: int) -> float:

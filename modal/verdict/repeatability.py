@@ -7,10 +7,10 @@ a pole as well, and a mode would be lost to its alias.
 """
 
 import operator
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -34,6 +34,7 @@ from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel
 from modal.verdict.excitation import driven_gain
 from modal.verdict.judgement import Change, Rerun, Reruns
+from modal.verdict.probability import HARDLY_DRIVEN, f_ratio
 from okid.arrays import BoolArray, FloatArray
 from okid.errors import NumericalError
 from okid.gram import LagGram, lag_gram, turn_gram
@@ -84,7 +85,8 @@ def repeat(
         refinement_steps: of the model.
         folds: halves of interleaved "blocks", or every second pair of the "rows".
         refined: the model; rows that take turns hold too little of a short answer for an observer, so each half starts
-            from the model as well and keeps what suits its own rows better.
+            from the model as well and keeps what suits its own rows better. A half of blocks does so where its own cut
+            explains its rows worse than the model, beyond chance: not driven evenly, it lost what its rows tell.
         past: samples whose canonical variates the model started from, where it did; its reruns do, too.
         grown: how many modes may be found in what others leave, as some of the model were: reruns start with so many
             less, and find them so again, or from a cut of all: the one that a refinement takes further counts.
@@ -124,22 +126,33 @@ def repeat(
         models = [model for model in cuts if model is not None]
         if models:
             starts = models if folds == "blocks" or refined is None else [refined, *models]
-            model = _refined(starts, again, held_out=1 - half, grown_to=model_order if grown else 0)
-            modes = extract_modes(model)
-            gain = _gain(model, modes, records, unseen)
-            runs.append(Rerun(label=label, change="data", modes=modes, gain=gain))
+            found = _refined(starts, again, held_out=1 - half, grown_to=model_order if grown else 0)
+            whole_model = None if folds == "rows" else refined
+            better = None if whole_model is None else _from_whole(whole_model, found, again, 1 - half)
+            run = _judged_elsewhere(label, found.model, better, records, unseen)
+            runs.append(replace(run, evidence=_evidence(whole_model, records, [~rows for rows in unseen])))
     largest = min(decomposition.rank, decomposition.max_order)
     shorter = whole.truncated(min(other_order, observer_order))
     cuts = [_model(shorter, other_ridge, scaling, dt, n) for n in sizes]
     models = [model for model in cuts if model is not None]
     if models:
         label = f"observer order {min(other_order, observer_order)}, ridge {other_ridge:.2g}"
-        modes = extract_modes(_refined(models, again, grown_to=model_order if grown else 0))
+        modes = extract_modes(_refined(models, again, grown_to=model_order if grown else 0).model)
         runs.append(Rerun(label=label, change="observer", modes=modes))
     others = _other_orders(model_order, 2 * largest if grown else largest)
-    for n, count in _nearest(model_order, others) if grown else [(n, 1) for n in others]:
-        starts = [realise_from(decomposition, min(size, largest)) for size in _starts(n, grown)]
-        modes = extract_modes(_refined(starts, again, grown_to=n if grown else 0))
+    asked = _nearest(model_order, others) if grown else [(n, 1) for n in others]
+    tried = {
+        n: _refined(
+            [realise_from(decomposition, min(size, largest)) for size in _starts(n, grown)],
+            again,
+            grown_to=n if grown else 0,
+        )
+        for n, _ in asked
+    }
+    if refined is not None and _off(tried, refined, again):
+        tried = _cut_otherwise(tried, again, grown, lambda n: _model(shorter, other_ridge, scaling, dt, n))
+    for n, count in asked:
+        modes = extract_modes(tried[n].model)
         change: Change = "lower order" if n < model_order else "higher order"
         runs += count * [Rerun(label=f"order {n}", change=change, modes=modes)]
     return Reruns(
@@ -207,9 +220,14 @@ def _starts(n_states: int, grown: Grown) -> list[int]:
     return sorted({min(n_states, max(least, n_states - 2 * GROWN)), n_states})
 
 
-def _refined(
-    models: Sequence[Realisation], again: _Refinement, *, held_out: int = NONE, grown_to: int = 0
-) -> Realisation:
+class _Found(NamedTuple):
+    """A model, and its squared error on the rows that it was refined on; infinite where it was not."""
+
+    model: Realisation
+    error: float
+
+
+def _refined(models: Sequence[Realisation], again: _Refinement, *, held_out: int = NONE, grown_to: int = 0) -> _Found:
     """The best of the models after a few steps on the rows that are not held out, and grown to so many states.
 
     The last as it is without steps, or where none is stable and grows so far; after a blow what is over needs no more.
@@ -231,7 +249,70 @@ def _refined(
             if grown_to:
                 last = refine(last, again.data, held_out=held_out, n_steps=again.n_steps, least_gain=least)[-1]
             best = (last, model) if best is None or last.error < best[0].error else best
-    return models[-1] if best is None else in_units(*best, again.scaling)
+    return _Found(models[-1], np.inf) if best is None else _Found(in_units(*best, again.scaling), best[0].error)
+
+
+def _error_of(whole: Realisation, again: _Refinement, *, held_out: int = NONE) -> float:
+    """Squared error of the whole record's model on these rows, shapes fitted to them; infinite where it is none."""
+    start = starting_parameters(scaled_model(whole, again.scaling), again.data, held_out=held_out)
+    return np.inf if start is None else start.error
+
+
+def _from_whole(whole: Realisation, found: _Found, again: _Refinement, held_out: int) -> Realisation | None:
+    """The whole record's model refined on one half, where that explains the half's own rows better beyond chance.
+
+    Where the inputs move in a part of the band only, or in one block here and the next one there, the observer of a
+    half is hardly determined: its cut holds what no input drove, and the modes are lost though the half's rows tell
+    them. What explains them worse than another model of the same order is not what they say.
+    """
+    if not again.n_steps or not _error_of(whole, again, held_out=held_out) < found.error:
+        return None
+    better = _refined([whole], again, held_out=held_out)
+    n_values = 0.5 * n_rows_of(again.data) * whole.n_outputs
+    by_chance = HARDLY_DRIVEN * 2 * (whole.n_outputs + whole.n_inputs) / n_values
+    return better.model if better.error * (1.0 + by_chance) < found.error else None
+
+
+def _judged_elsewhere(
+    label: str,
+    found: Realisation,
+    better: Realisation | None,
+    records: Sequence[Record],
+    unseen: Sequence[BoolArray],
+) -> Rerun:
+    """The rerun of a half, its modes' gains taken on the rows of the other.
+
+    A model that started from all rows says "found again" of those modes only whose answer to the inputs explains rows
+    that they were not refined on: noise has no such answer.
+    """
+    model = found if better is None else better
+    modes = extract_modes(model)
+    gain = _gain(model, modes, records, unseen)
+    if better is None or gain is None:
+        return Rerun(label=label, change="data", modes=modes, gain=gain)
+    kept = np.flatnonzero(_ratios(modes, gain, unseen) >= HARDLY_DRIVEN)
+    answering = replace(modes, modes=tuple(modes.modes[i] for i in kept.tolist()))
+    return Rerun(label=label, change="data", modes=answering, gain=gain[kept])
+
+
+def _evidence(whole: Realisation | None, records: Sequence[Record], rows: Sequence[BoolArray]) -> FloatArray | None:
+    """(n_modes,) F ratio of each mode of the whole record's model on these rows: did they drive it?"""
+    if whole is None:
+        return None
+    modes = extract_modes(whole)
+    gain = _gain(whole, modes, records, rows)
+    return None if gain is None else _ratios(modes, gain, rows)
+
+
+def _ratios(modes: ModalModel, gain: FloatArray, rows: Sequence[BoolArray]) -> FloatArray:
+    n_values = sum(int(np.count_nonzero(own)) for own in rows) * (modes.modes[0].shape.size if modes.modes else 0)
+    return np.array([f_ratio(mode, float(one), n_values) for mode, one in zip(modes.modes, gain, strict=True)])
+
+
+def _off(tried: Mapping[int, _Found], whole: Realisation, again: _Refinement) -> bool:
+    """Whether a larger model than the whole record's explains less: its cut held what no input drove."""
+    larger = [one.error for n, one in tried.items() if n > whole.order]
+    return bool(again.n_steps and larger) and max(larger) > _error_of(whole, again)
 
 
 def _gain(
@@ -282,6 +363,18 @@ def _other_orders(model_order: int, largest: int) -> list[int]:
     orders |= {model_order + step}
     others = sorted(n for n in orders if 0 < n <= largest and n != model_order)
     return others if others and others[-1] > model_order else []
+
+
+def _cut_otherwise(
+    tried: Mapping[int, _Found], again: _Refinement, grown: Grown, cut: Callable[[int], Realisation | None]
+) -> dict[int, _Found]:
+    """Each of the models, or the one of the same order that starts from another cut, whichever explains more."""
+    better = {}
+    for n, found in tried.items():
+        models = [model for model in map(cut, _starts(n, grown)) if model is not None]
+        other = _refined(models, again, grown_to=n if grown else 0) if models else found
+        better[n] = min(found, other, key=lambda one: one.error)
+    return better
 
 
 def _nearest(model_order: int, others: Sequence[int]) -> list[tuple[int, int]]:

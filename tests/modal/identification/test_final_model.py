@@ -3,15 +3,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import scipy
+from scipy.signal import chirp
 from signals import random_inputs
 from systems import initial_state, modal_system, simulate
 
 from era.simulation import simulate as free_simulation
 from modal.estimation.cross_validation import Trial
 from modal.identification.final_model import fit_all_rows, with_deviations
+from modal.identification.noise_model import _most_driven
 from modal.identification.order_search import Search, search, search_limits
 from modal.identification.pipeline import identify
 from modal.modes.extraction import extract_modes
+from modal.modes.modal_form import ModalBasis
 from okid.errors import NumericalError
 from okid.record import Record
 
@@ -207,3 +210,36 @@ def test_deviations_of_a_model_with_its_noise_are_as_much_wider_as_samples_are_f
     whole, half = (with_deviations(modes, final, [record], measured_share=share)[1] for share in (1.0, 0.5))
     for name in ("frequency_std", "damping_ratio_std", "shape_std", "markov_std", "mass_std"):
         np.testing.assert_allclose(getattr(half, name), 2.0 * getattr(whole, name), rtol=1e-6, atol=1e-14)
+
+
+DT = 0.01
+
+
+def basis_of(frequencies, damping_ratios, inputs, outputs):
+    omega, z = 2 * np.pi * np.array(frequencies), np.array(damping_ratios)
+    poles = np.exp(omega * DT * (-z + 1j * np.sqrt(1 - z**2)))
+    every = np.ones(poles.size, dtype=bool)
+    inputs, outputs = np.array(inputs, dtype=complex)[:, None], np.array(outputs, dtype=complex).T
+    return ModalBasis(
+        poles=poles, is_pair=every, right=outputs, left=inputs, outputs=outputs, inputs=inputs, separable=every
+    )
+
+
+@pytest.mark.parametrize("order", [4, 5])
+def test_large_answers_that_cancel_where_no_input_moves_are_none_of_the_systems(order):
+    """A sweep from 2 to 30 Hz: two poles at 42 Hz answer it much more than the mode at 4 Hz, but not together."""
+    time = DT * np.arange(4000)
+    shape = np.array([1.0, 0.5])
+    made = basis_of(
+        [4.0, 12.0, 42.0, 42.1], [0.01, 0.01, 0.02, 0.021], [0.1, 0.1, 100.0, -100.0], [shape, -shape, shape, shape]
+    )
+    sweep = chirp(time, 2.0, time[-1], 30.0)[:, None]
+    assert _most_driven(made, order, [sweep]) == [0, 1]
+    assert _most_driven(made, 8, [sweep]) == [0, 1, 2, 3]
+
+
+def test_of_modes_alike_the_weakest_is_left_out():
+    white = np.random.default_rng(3).standard_normal((4000, 1))
+    shapes = np.array([[1.0, 0.5], [-0.5, 1.0], [1.0, -1.0]])
+    made = basis_of([4.0, 12.0, 31.0], [0.01, 0.01, 0.01], [0.1, 0.001, 0.1], shapes)
+    assert _most_driven(made, 4, [white]) == [0, 2]
