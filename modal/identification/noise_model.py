@@ -50,7 +50,7 @@ from okid.residuals import NOT_WHITE, WHITENESS_LAGS, Whiteness, centred, input_
 from okid.scaling import ChannelScaling, channel_scaling
 
 ROUND_OFF = 1e-12
-"""Take a share of the answers to inputs for rounding below this."""
+"""Add this to the correlations of answers to inputs: two that are one are told apart no further."""
 ROUNDED = 1e-9
 """Take a share of a unit participation for rounding below this."""
 WHITE_AT = 1e-3
@@ -336,31 +336,35 @@ def _apart(fit: LikeliestFit, ratio: float, order: int, data: OutputError, dt: f
 def _most_driven(basis: ModalBasis, order: int, inputs: Sequence[FloatArray]) -> list[int]:
     """The poles of the `order` states that tell most of the answer to these first inputs; one less for a cut pair.
 
+    Those that grow are kept, were they more.
+
     One after the other is left out whose loss the others, with any shapes, make up for best. Where no input moves,
     participations are not determined: poles there have large answers that cancel, and by size alone modes of the system
     would count as noise.
     """
     n_inputs, grows = inputs[0].shape[1], np.abs(basis.poles) >= 1.0
-    owner = np.concatenate([np.repeat(np.arange(grows.size), 2), np.full(n_inputs, -1)])
+    n_states = np.where(basis.is_pair, 2, 1)
+    owner = np.concatenate([np.repeat(np.arange(grows.size), n_states), np.full(n_inputs, -1)])
+    told = np.column_stack([np.ones_like(basis.is_pair), basis.is_pair]).ravel()  # real parts, imaginary ones of pairs
     parts = np.zeros((owner.size, owner.size))
     poles = np.where(grows, 0.0, basis.poles)  # told by its pole, and kept
     for values in inputs:
         recursion = PoleRecursion.of(poles, len(values))
         drive = basis.inputs[:, :n_inputs] @ values.T
         states, _ = recursion.run(drive.astype(np.complex128), np.zeros(poles.size, dtype=np.complex128))
-        signals = np.vstack([np.stack([states.real, states.imag], axis=1).reshape(-1, len(values)), values.T])
+        both = np.stack([states.real, states.imag], axis=1).reshape(-1, len(values))
+        signals = np.vstack([both[told], values.T])
         parts += signals @ signals.T
-    size = np.sqrt(np.diag(parts)) + np.finfo(float).tiny
+    size = np.sqrt(np.where(np.diag(parts) > 0.0, np.diag(parts), 1.0))
     parts = parts / np.outer(size, size) + ROUND_OFF * np.eye(owner.size)
     shapes = np.where(basis.is_pair, 2.0, 1.0) * basis.outputs
     wanted = np.vstack(
         [
-            np.stack([shapes.real, -shapes.imag], axis=2).reshape(len(shapes), -1).T * size[: 2 * grows.size, None],
+            np.stack([shapes.real, -shapes.imag], axis=2).reshape(len(shapes), -1).T[told] * size[:-n_inputs, None],
             np.zeros((n_inputs, len(shapes))),
         ]
     )
     cross = parts @ wanted
-    n_states = np.where(basis.is_pair, 2, 1)
     kept = list(range(grows.size))
     while sum(n_states[kept]) > order and not grows[kept].all():
         there = np.flatnonzero(np.isin(owner, [*kept, -1]))

@@ -285,6 +285,11 @@ class Recursion:
         add_work(n_times, n if n_columns else 1)
         if not forcing.size:
             return forcing
+        with np.errstate(over="ignore", invalid="ignore"):  # a motion that grows beyond numbers is the caller's to see
+            return self._solved(forcing)
+
+    def _solved(self, forcing: FloatArray) -> FloatArray:
+        n = forcing.shape[2]
         if self.band is None:
             for begin, end in pairwise(self.firsts):
                 self._by_products(forcing, begin, end)

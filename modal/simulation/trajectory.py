@@ -1,7 +1,7 @@
 """Simulation by Newton's method on the whole trajectory, and how it depends on everything unknown.
 
-Every step's defect is driven to zero at once: one banded solve an iteration (`modal.simulation.scheme`), no loop over
-time. From a near trajectory one to three iterations are enough. Where the whole does not converge, sharp laws are
+Every step's defect is driven to zero at once: one solve of the recursion an iteration (`modal.simulation.scheme`).
+From a near trajectory one to three iterations are enough. Where the whole does not converge, sharp laws are
 first smoothed and then sharpened, and at last the records are marched through in windows.
 
 The derivative of the trajectory by any unknown obeys the linearised recursion with the unknown's own forcing, so the

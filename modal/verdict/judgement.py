@@ -137,7 +137,7 @@ NOT_FOUND_BELOW = 0.1
 """Overlap that counts as not found at all."""
 SAME_FREQUENCY = 0.01
 CLEARLY_DRIVEN = 10.0 * HARDLY_DRIVEN
-"""F ratio in one half of the data from which another half that shows none did not drive the mode."""
+"""Say that a half did not drive a mode where its F ratio is below the former and the other half's above this."""
 
 UNEVEN = (
     "Near {where} Hz what does not follow the inputs is {times} what blocks of this length leave of a linear "

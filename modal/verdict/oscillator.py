@@ -107,12 +107,13 @@ class Decay:
         """How many values of what is left tell as much of the line as one of white noise, and no less than 1.
 
         What still drives a mode while it rings down makes errors that ring with it, in all outputs: the largest sum of
-        these, at lines half a cycle in the record apart, over what white noise of every output has there.
+        these, at lines half a cycle in the record apart, over the largest that white noise of every output has there.
         """
         apart = np.arange(-LINES, LINES + 1) * np.pi / max(float(self.times[-1] - self.times[0]), 1.0)
         lines = np.exp(-1j * np.outer(self.turns + apart, self.times)) @ left
         lines /= np.sqrt(np.maximum(np.square(left).sum(axis=0), TINY))
-        return max(1.0, float(np.linalg.norm(lines, 2) ** 2 / len(apart)))
+        of_white = (np.sqrt(len(apart)) + np.sqrt(left.shape[1] - 1)) ** 2
+        return max(1.0, float(np.linalg.norm(lines, 2) ** 2 / of_white))
 
     def misfit(self, left: FloatArray) -> float:
         """-2 ln L of white noise of each output's own size, but for a constant."""

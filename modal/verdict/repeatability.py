@@ -268,9 +268,12 @@ def _from_whole(whole: Realisation, found: _Found, again: _Refinement, held_out:
     if not again.n_steps or not _error_of(whole, again, held_out=held_out) < found.error:
         return None
     better = _refined([whole], again, held_out=held_out)
-    n_values = 0.5 * n_rows_of(again.data) * whole.n_outputs
-    by_chance = HARDLY_DRIVEN * 2 * (whole.n_outputs + whole.n_inputs) / n_values
-    return better.model if better.error * (1.0 + by_chance) < found.error else None
+    return better.model if better.error * (1.0 + _by_chance(whole, 0.5 * n_rows_of(again.data))) < found.error else None
+
+
+def _by_chance(whole: Realisation, n_rows: float) -> float:
+    """Share of the squared error that the numbers of one mode explain of noise, F times as much as that."""
+    return HARDLY_DRIVEN * 2 * (whole.n_outputs + whole.n_inputs) / (n_rows * whole.n_outputs)
 
 
 def _judged_elsewhere(
@@ -290,7 +293,7 @@ def _judged_elsewhere(
     gain = _gain(model, modes, records, unseen)
     if better is None or gain is None:
         return Rerun(label=label, change="data", modes=modes, gain=gain)
-    kept = np.flatnonzero(_ratios(modes, gain, unseen) >= HARDLY_DRIVEN)
+    kept = np.flatnonzero(_ratios(modes, gain, records, unseen) >= HARDLY_DRIVEN)
     answering = replace(modes, modes=tuple(modes.modes[i] for i in kept.tolist()))
     return Rerun(label=label, change="data", modes=answering, gain=gain[kept])
 
@@ -301,18 +304,19 @@ def _evidence(whole: Realisation | None, records: Sequence[Record], rows: Sequen
         return None
     modes = extract_modes(whole)
     gain = _gain(whole, modes, records, rows)
-    return None if gain is None else _ratios(modes, gain, rows)
+    return None if gain is None else _ratios(modes, gain, records, rows)
 
 
-def _ratios(modes: ModalModel, gain: FloatArray, rows: Sequence[BoolArray]) -> FloatArray:
-    n_values = sum(int(np.count_nonzero(own)) for own in rows) * (modes.modes[0].shape.size if modes.modes else 0)
+def _ratios(modes: ModalModel, gain: FloatArray, records: Sequence[Record], rows: Sequence[BoolArray]) -> FloatArray:
+    n_values = sum(int(np.isfinite(record.outputs[own]).sum()) for record, own in zip(records, rows, strict=True))
     return np.array([f_ratio(mode, float(one), n_values) for mode, one in zip(modes.modes, gain, strict=True)])
 
 
 def _off(tried: Mapping[int, _Found], whole: Realisation, again: _Refinement) -> bool:
-    """Whether a larger model than the whole record's explains less: its cut held what no input drove."""
-    larger = [one.error for n, one in tried.items() if n > whole.order]
-    return bool(again.n_steps and larger) and max(larger) > _error_of(whole, again)
+    """Whether a larger model than the whole record's explains less, beyond chance: its cut held what no input drove."""
+    larger = [one.error for n, one in tried.items() if n > whole.order and np.isfinite(one.error)]
+    most = _error_of(whole, again) * (1.0 + _by_chance(whole, n_rows_of(again.data)))
+    return bool(again.n_steps and larger) and max(larger) > most
 
 
 def _gain(

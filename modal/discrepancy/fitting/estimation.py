@@ -2,7 +2,7 @@
 
 The cost is sum((y - yhat)^2 / floor) over the measured values, each record and output in units of its own noise floor,
 so that a quiet record counts as much as a loud one, plus the weak priors of the linear parameters. Each iteration is
-one banded solve for all sensitivities; a trial starts Newton's method from the trajectory that they predict.
+one solve of the recursion for all sensitivities; a trial starts Newton's method from the trajectory that they predict.
 
 The level above a brim is flow / rate. In the rate it is all but flat once the brim is hard: a step of Gauss and Newton
 asks for many times the rate, and the levels that it predicts lie far below the brim. In 1 / rate both are straight

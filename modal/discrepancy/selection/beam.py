@@ -209,6 +209,10 @@ def _masses_first(front: Sequence[Node], task: Task) -> list[tuple[Node, list[No
         return [(node, None) for node in front]
     both: list[tuple[Node, list[Node] | None]] = []
     for i, node in enumerate(front):
+        if task.budget.left <= 0.0 or node.held_out_level <= AT_FLOOR:
+            both.append((node, None))
+            continue
+        task.report(f"other masses beside {_named(node)}", len(node.effects) / MOST_EFFECTS)
         heavier = _heavier(node, task)
         if _explain(heavier):
             return [(node, heavier), *both, *((other, None) for other in front[i + 1 :])]

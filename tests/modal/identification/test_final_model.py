@@ -243,3 +243,18 @@ def test_of_modes_alike_the_weakest_is_left_out():
     shapes = np.array([[1.0, 0.5], [-0.5, 1.0], [1.0, -1.0]])
     made = basis_of([4.0, 12.0, 31.0], [0.01, 0.01, 0.01], [0.1, 0.001, 0.1], shapes)
     assert _most_driven(made, 4, [white]) == [0, 2]
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_of_real_poles_that_which_tells_more_of_the_answer_is_the_systems(first):
+    """These have no imaginary parts, and an input may be silent."""
+    poles = np.array([0.694, 0.935] if first == 0 else [0.935, 0.694], dtype=complex)
+    size = np.array([0.7, 0.012] if first == 0 else [0.012, 0.7], dtype=complex)
+    inputs = np.stack([size, np.zeros(2)], axis=1)
+    alone = np.zeros(2, dtype=bool)
+    made = ModalBasis(
+        poles=poles, is_pair=alone, right=np.eye(2), left=inputs, outputs=np.ones((1, 2), dtype=complex),
+        inputs=inputs, separable=~alone,
+    )  # fmt: skip
+    white = np.random.default_rng(4).standard_normal((1500, 2)) * [1.0, 0.0]
+    assert _most_driven(made, 1, [white]) == [first]

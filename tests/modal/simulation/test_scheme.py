@@ -118,3 +118,12 @@ def test_steps_that_are_all_alike_go_on_from_piece_to_piece(monkeypatch):
 def test_nothing_to_solve(n, n_columns):
     found = Recursion.of(np.zeros((n, n, 5)), (0, 5)).solve(np.zeros((n_columns, 5, n)))
     assert found.shape == (n_columns, 5, n)
+
+
+@pytest.mark.parametrize("n", [2, 7, 8])
+def test_a_motion_that_grows_beyond_numbers_is_left_to_who_asked(n):
+    with np.errstate(all="raise"):
+        found = Recursion.of(np.broadcast_to(3.0 * np.eye(n)[:, :, None], (n, n, 1000)), (0, 1000)).solve(
+            np.ones((1, 1000, n))
+        )
+    assert not np.isfinite(found).all()

@@ -69,8 +69,13 @@ def test_a_law_that_explains_the_data_with_other_masses_goes_before_one_that_lea
         return SimpleNamespace(held_out_level=levels[node.effects[0]])
 
     monkeypatch.setattr(beam, "with_released_masses", released)
-    front = [SimpleNamespace(effects=(name,)) for name in levels]
-    ordered = beam._masses_first(front, None)
+    monkeypatch.setattr(beam, "_named", str)
+    front = [SimpleNamespace(effects=(name,), held_out_level=100.0) for name in levels]
+    task = SimpleNamespace(budget=SimpleNamespace(left=1.0), report=lambda *_: None)
+    ordered = beam._masses_first(front, task)
     assert [node.effects[0] for node, _ in ordered] == ["cubic", "stops", "curve"]
     assert asked == ["stops", "cubic"]  # none is fitted for nothing, nor twice
     assert [heavier is None for _, heavier in ordered] == [False, False, True]
+    task.budget.left = 0.0
+    assert beam._masses_first(front, task) == [(node, None) for node in front]
+    assert asked == ["stops", "cubic"]  # what is spent is spent
