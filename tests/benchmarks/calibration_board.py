@@ -70,7 +70,7 @@ if __name__ == "__main__":
     else:
         print("| DOF | samples | CPU s | MB | mean square / floor | error of w^2 |\n|---|---|---|---|---|---|")
         for n, n_samples in SIZES:
-            run = subprocess.run(  # noqa: S603 - this file
+            run = subprocess.run(
                 [sys.executable, __file__, str(n), str(n_samples)], capture_output=True, text=True, check=True
             )
             cost = json.loads(run.stdout)
