@@ -65,6 +65,8 @@ def cost_of(n, n_samples):
 
 
 if __name__ == "__main__":
+    if "--help" in sys.argv[1:]:
+        sys.exit(print(__doc__))
     if len(sys.argv) == 3:
         print(json.dumps(cost_of(int(sys.argv[1]), int(sys.argv[2]))))
     else:

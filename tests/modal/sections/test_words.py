@@ -270,7 +270,7 @@ def test_the_words_name_the_limits_that_the_verdict_has(identification):
     groups = {"halves of the data": 0.9, "other observer order and ridge": 0.9, "other model orders": 0.9}
 
     def called(p, least):
-        return verdict._verdict(mode, p, 100.0, {**groups, "other model orders": least}, "")[0]
+        return verdict._verdict(mode, p, 100.0, {**groups, "other model orders": least}, dict.fromkeys(groups, ""))[0]
 
     least_p = COLUMNS["probability"].limit
     least_part = float(COLUMNS["repeatability"].meaning.removesuffix(".").rpartition(" ")[2])
