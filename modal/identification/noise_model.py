@@ -43,7 +43,7 @@ from modal.modes.extraction import extract_modes
 from modal.modes.modal_form import ModalBasis, modal_basis
 from modal.verdict.constancy import drifting_modes
 from modal.wording.text import hertz
-from okid.arrays import BoolArray, FloatArray
+from okid.arrays import ROUNDED, BoolArray, FloatArray
 from okid.errors import NumericalError
 from okid.record import Record
 from okid.residuals import NOT_WHITE, WHITENESS_LAGS, Whiteness, centred, input_correlation, whiteness
@@ -51,8 +51,6 @@ from okid.scaling import ChannelScaling, channel_scaling
 
 ROUND_OFF = 1e-12
 """Add this to the correlations of answers to inputs: two that are one are told apart no further."""
-ROUNDED = 1e-9
-"""Take a share of a unit participation for rounding below this."""
 WHITE_AT = 1e-3
 """Call errors white where the portmanteau test of white ones gives more as often: one record in a thousand is lost."""
 
