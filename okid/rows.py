@@ -428,7 +428,7 @@ def interleaved_folds(
         raise InsufficientDataError(
             f"{N_FOLDS} folds need at least {(N_FOLDS + 1) * min_block} samples in one record; there are {total} in "
             f"{len(records)} record{'s' * (len(records) != 1)}. Use a longer record, a smaller delay or less "
-            "decimation; okid.fit_observer takes an order and a ridge without folds."
+            "decimation."
         )
     for fold in masks:
         for mask in fold:

@@ -381,8 +381,8 @@ def _check_long_enough(records: Sequence[Record]) -> None:
     longest = max(record.n_samples for record in records)
     if longest < FEWEST_SAMPLES:
         raise InsufficientDataError(
-            f"choosing the orders needs at least {FEWEST_SAMPLES} samples in one record, four blocks of ten; the "
-            f"longest has {longest}. Give a longer record, or call okid.fit_observer with an order of your own."
+            f"choosing a model's orders needs at least {FEWEST_SAMPLES} samples in one record (four blocks of ten); "
+            f"the longest has {longest}: give a longer record."
         )
 
 
