@@ -30,8 +30,8 @@ from modal.preparation.delay import late_and_early, late_inputs
 from modal.preparation.drift import summed_inputs, without_drift
 from modal.verdict.judgement import DOUBTED
 from modal.verdict.linearity import powers_of_motion
-from modal.verdict.probability import FILTER_EDGE, LEAST_FIT, MOST_MISSED
-from modal.wording.text import NINETY_FIVE, fit_text, hertz, listed
+from modal.verdict.probability import FILTER_EDGE, MOST_MISSED
+from modal.wording.text import LEAST_FIT, NINETY_FIVE, fit_text, hertz, listed
 from okid.errors import IdentificationError, IdentificationWarning, InvalidDataError
 from okid.record import Record
 

@@ -394,7 +394,6 @@ def _identified(
         else None,
         n_values=preparation.n_values,
         edge=FILTER_EDGE * 0.5 / prepared[0].dt if prepared[0].dt > 1.5 * records[0].dt else np.inf,
-        fit=np.nan if prepared[0].n_inputs else fit.mean,
         missed=missed,
         observer_order=observer.order,
         ridge=observer.ridge,

@@ -48,8 +48,6 @@ from okid.excitation import Excitation
 from okid.record import Record
 from okid.residuals import WHITENESS_LAGS, ResidualCheck, input_correlation_of_each
 
-EXPLAINS = 0.5
-"""Cross-validated fit below which the model does not explain the records and no mode is certain."""
 FOLLOWS_INPUT = 3.0
 """Ratio of the input-correlation statistic to its degrees of freedom above which the observer misses something."""
 LEAST_EXCITED = 0.5
@@ -272,7 +270,7 @@ def warnings_in_words(
             "No input was given: damping and shapes hold if what drives the system is broad-band, and the fit is that "
             "of one-step prediction."
         )
-    if not modes.system and fit.mean >= EXPLAINS:
+    if not modes.system and (not driven or fit.mean >= LEAST_FIT):
         doubted = any(mode.doubts for mode in modes.modes)
         words.append(
             "No mode is certain: of each that was found again the reason says what stands against it."
@@ -295,10 +293,15 @@ def warnings_in_words(
 def _fit_words(record: Record, fit: Fit, missed: float, *, has_modes: bool, powers: Powers) -> list[str]:
     """How little the model reproduces of such records, and why, where that is little."""
     words, driven = [], record.n_inputs > 0
-    if fit.mean < EXPLAINS or missed > MOST_MISSED:
+    if fit.mean < LEAST_FIT or missed > MOST_MISSED:
         what = "a free run of the model" if driven else "one-step prediction"
         how = f"{what} reproduces {reproduced(fit.mean)} of data kept aside"
-        if missed > MOST_MISSED or not driven or not has_modes:
+        if not driven:
+            words.append(
+                f"Noise of the sensors, or what drives them anew at each sample, makes most of the outputs: {how}. "
+                "Each mode is judged by itself."
+            )
+        elif missed > MOST_MISSED or not has_modes:
             much = f" and leaves {100 * missed:.0f} % of what the inputs explain" if missed > MOST_MISSED else ""
             words.append(f"The model does not explain the data: {how}{much}, so no mode is certain.")
         elif not powers.told:
@@ -312,7 +315,7 @@ def _fit_words(record: Record, fit: Fit, missed: float, *, has_modes: bool, powe
         poor = [
             f"{name} ({value:.2f})"
             for name, value in zip(record.output_names, fit.cross_validated, strict=True)
-            if value < EXPLAINS
+            if value < LEAST_FIT
         ]
         if poor:
             words.append(f"The model does not reproduce these outputs (fit to data kept aside): {', '.join(poor)}.")

@@ -241,7 +241,7 @@ def judge(
     Args:
         model: from `modal.extract_modes`.
         reruns: the same identified again.
-        fit: cross-validated fit of the model, mean over outputs, where there are no inputs; nan where unknown.
+        fit: of a table, to the responses of the other half of its averages, mean over outputs; nan of records.
         missed: share of what the inputs explain that the model leaves; nan where unknown.
         observer_order: samples that the observer spans; None for measured Markov parameters.
         ridge: of the observer fit.

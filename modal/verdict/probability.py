@@ -25,6 +25,7 @@ import numpy as np
 
 from modal.modes.mode import Mode
 from modal.preparation.band import FOLLOWS
+from modal.wording.text import LEAST_FIT
 from okid.excitation import Excitation
 
 LEAST_RATIO, LARGEST_RATIO = 0.1, 1e6
@@ -59,8 +60,6 @@ def probability(r: float, ratio: float = np.nan) -> float:
 
 HARDLY_DRIVEN = 5.0
 """Below this F ratio what inputs make a mode do may be chance: in all rows, beside lines, or after a blow."""
-LEAST_FIT = 0.5
-"""Doubt all modes without inputs below this cross-validated fit one step ahead."""
 MOST_MISSED = 0.5
 """Doubt all modes of a model that leaves more of what the inputs explain than it explains."""
 LARGEST_UNDRIVEN_DAMPING = 0.05
@@ -89,23 +88,23 @@ def poor_fit_doubt(fit: float, missed: float = np.nan) -> tuple[str, ...]:
     """The model leaves more than it explains of what can be explained (nan: not known, no doubt).
 
     Low fit is not error: noise and forces that were not measured lower it, and say nothing against a mode that was
-    found again and driven. With inputs it is asked what the free run leaves of what follows them; without, one step
-    ahead is all that can be asked.
+    found again. With inputs it is asked what the free run leaves of what follows them, of a table what it repeats of
+    its lines. Without inputs nothing is asked: one step ahead no model tells the forces to come.
 
     Args:
-        fit: cross-validated, without inputs; nan with inputs.
+        fit: of a table, to the other half of its averages; nan of records.
         missed: share of what the inputs explain that the model leaves (`modal.preparation.band.missed_share`).
 
     Example:
         >>> poor_fit_doubt(0.319)
-        ("the model explains only 31 % of the outputs' motion on held-out data: no mode of it is certain",)
+        ('the model repeats only 31 % of the responses of the other half of the averages: no mode of it is certain',)
     """
     if missed > MOST_MISSED:
         return (f"the model leaves {100 * missed:.0f} % of what the inputs explain: no mode of it is certain",)
     if not fit < LEAST_FIT:
         return ()
     share = "nothing" if fit < 0.01 else f"only {np.floor(100 * fit):.0f} %"
-    return (f"the model explains {share} of the outputs' motion on held-out data: no mode of it is certain",)
+    return (f"the model repeats {share} of the responses of the other half of the averages: no mode of it is certain",)
 
 
 def excitation_doubt(n_states: int, excitation: Excitation | None, gain: float = np.nan) -> tuple[str, ...]:

@@ -21,7 +21,7 @@ MOST_NAMED = 3
 """Name so many things in a sentence and count the others: a table has them all."""
 
 LEAST_FIT = 0.5
-"""Call no mode certain where the cross-validated fit is lower: the model then explains less than it leaves."""
+"""Say below this cross-validated fit that the model explains less than it leaves: of noise, or of what drives it."""
 
 NONLINEAR, WITH_LEVEL, IN_TIME = "Something is not linear", "with the level of motion", "during the record"
 """Begin the warning so where errors follow powers of the motion, and say so of what changes with it or in time: other

@@ -47,6 +47,18 @@ def test_noise_as_large_as_the_motion_takes_no_mode_away(seed):
     assert "no mode is certain" not in " ".join(result.warnings)
 
 
+def test_noise_as_large_as_the_motion_takes_no_mode_away_where_no_input_was_measured():
+    made = FAMILIES["ambient"](3, n_samples=5000)
+    noise = np.random.default_rng(3).standard_normal(made.outputs.shape) * made.outputs.std(axis=0)
+    result = identify(Record(made.inputs, made.outputs + noise, made.dt))
+    assert result.fit.mean < 0.4
+    assert called(made, result) >= made.frequencies.size - 1
+    assert all(
+        (np.abs(made.frequencies - mode.frequency) < 0.01 * mode.frequency).any() for mode in result.modes.system
+    )
+    assert "makes most of the outputs" in result.warnings[0]
+
+
 def test_very_light_damping_is_called():
     made, result = identified("light_damping", 3, n_samples=2500)
     assert called(made, result) == made.frequencies.size

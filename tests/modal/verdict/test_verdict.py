@@ -12,7 +12,7 @@ from modal.verdict.judgement import Rerun, Reruns, judge
 from okid.excitation import Excitation
 
 DT = 0.01
-HELD_OUT = "of the outputs' motion on held-out data: no mode of it is certain"
+HELD_OUT = "of the responses of the other half of the averages: no mode of it is certain"
 SHAPES = np.array([[1.0, 0.6, 0.3], [-0.7, 1.0, 0.4], [0.5, -0.8, 1.0]])
 
 
@@ -241,12 +241,12 @@ def test_the_better_repeated_of_two_is_the_mode():
     [
         (0.51, "system", "found again"),
         (np.nan, "system", "found again"),
-        (0.499, "doubtful", f"the model explains only 49 % {HELD_OUT}; found again"),
-        (0.31, "doubtful", "the model explains only 31 %"),
-        (-2.0, "doubtful", "the model explains nothing of the outputs' motion"),
+        (0.499, "doubtful", f"the model repeats only 49 % {HELD_OUT}; found again"),
+        (0.31, "doubtful", "the model repeats only 31 %"),
+        (-2.0, "doubtful", "the model repeats nothing of the responses"),
     ],
 )
-def test_no_mode_of_a_model_that_explains_little_is_certain(fit, verdict, words):
+def test_no_mode_of_a_table_that_is_hardly_repeated_is_certain(fit, verdict, words):
     mode = judged(vibration(), found_with(), fit=fit)
     assert mode.verdict == verdict
     assert mode.reason.startswith(words)
