@@ -19,6 +19,7 @@ from modal.discrepancy.results import (
     other_masses,
     unexplained_outputs,
 )
+from modal.discrepancy.validation.summary import wrong_units
 from modal.effects.ambiguity import AMBIGUOUS
 from modal.effects.catalogue import one_of
 from modal.identification.words import Judgement
@@ -191,7 +192,9 @@ def model_name(diagnosis: Diagnosis) -> str | None:
 
 def next_steps(diagnosis: Diagnosis) -> tuple[str, ...]:
     """What to do next: go on with the model where it is proved, and what to measure."""
-    if diagnosis.status == "named":
+    if units := wrong_units(diagnosis):
+        first = f"Look at the units of {listed([one.where for one, _ in units])} first, in the file and in the model."
+    elif diagnosis.status == "named":
         file = f" ({name})" if (name := model_name(diagnosis)) else ""
         first = f"Simulate with the updated model{file}: it holds the effects with their values."
     elif diagnosis.status == "none" and _all(unexplained_outputs(diagnosis), diagnosis):

@@ -123,19 +123,21 @@ UNITS = frozenset(
 ) | frozenset(word for text in SPELLINGS.values() for word in re.findall(r"[A-Za-z_]+", text))
 """Read what is made of these alone: the units library knows so many more that any word is one (cts, EU, %rH)."""
 
-UNIT_FACTORS = {
-    60.0 / (2.0 * math.pi): "revolutions per minute taken for rad/s",
-    STANDARD_GRAVITY: "g taken for m/s^2, or kilogram-force for newton",
-    9.81: "g taken for m/s^2, or kilogram-force for newton",
-    1000.0: "a thousandth (mm, mV, gram) taken for the unit itself",
-    25.4: "inches taken for millimetres",
-    0.45359237 * STANDARD_GRAVITY: "pound-force taken for newton",
-    180.0 / math.pi: "degrees taken for radians",
+UNIT_SIZES = {
+    (("revolutions per minute", "rad/s"),): 2.0 * math.pi / 60.0,
+    (("g", "m/s^2"), ("kilogram-force", "newton")): STANDARD_GRAVITY,
+    (("a thousandth (mm, mV, gram)", "the unit itself"),): 1e-3,
+    (("inches", "millimetres"),): 25.4,
+    (("pound-force", "newton"),): 0.45359237 * STANDARD_GRAVITY,
+    (("degrees", "radians"),): math.pi / 180.0,
 }
-"""Name a gain of this size, or of its inverse, as an error of units."""
+"""Name an error of units by what was taken for what, the first being so many times the second."""
 
 WIDEST_GAIN = 1e4
 """Expect gains up to this factor either way: the widest of the candidates and as much again."""
+
+SHORTENED = 5e-4
+"""Take a factor for one of these within so much of itself: 9.81 for 9.80665."""
 
 CHANCE = 0.05
 """Name no error of units where chance alone would find one so often."""
@@ -297,26 +299,29 @@ def _gram_or_gravity(channel: str, text: str, plain: str) -> tuple[str, str]:
 def unit_error(gain: float, std: float) -> str:
     """What a gain looks like that a forgotten conversion of units makes, in words; "" where it may be chance.
 
+    The gain is what a channel is over what its numbers say.
+
     A gain between 1e-4 and 1e4 that is as likely at one power of ten as at another lies within two deviations of one of
     the n candidates with the probability n 4 (std / gain) / (2 ln 1e4). Only where that is small does closeness mean
     anything.
 
     Example:
         >>> unit_error(9.79, 0.02)
-        'a factor of 9.80665: g taken for m/s^2, or kilogram-force for newton'
+        'g taken for m/s^2 or kilogram-force taken for newton, a factor of 9.80665'
         >>> unit_error(9.79, 0.5), unit_error(1.02, 0.001)
         ('', '')
     """
     size = abs(gain)
-    candidates = [(power, factor, words) for factor, words in UNIT_FACTORS.items() for power in (1, -1)]
+    candidates = [(power * math.log(factor), power, pairs) for pairs, factor in UNIT_SIZES.items() for power in (1, -1)]
     if not size or not math.isfinite(size) or not 0.0 < std < math.inf:
         return ""
     chance = len(candidates) * 4.0 * (std / size) / (2.0 * math.log(WIDEST_GAIN))
-    near = [one for one in candidates if abs(math.log(size) - one[0] * math.log(one[1])) <= 2.0 * std / size]
-    if not near or chance > CHANCE:
+    near = min(candidates, key=lambda one: abs(math.log(size) - one[0]))
+    if abs(math.log(size) - near[0]) > 2.0 * std / size + SHORTENED or chance > CHANCE:
         return ""
-    power, factor, words = min(near, key=lambda one: abs(math.log(size) - one[0] * math.log(one[1])))
-    return f"a factor of {'1 / ' if power < 0 else ''}{factor:.6g}: {words}{'' if power > 0 else ', turned round'}"
+    exponent, power, pairs = near
+    words = " or ".join(f"{what} taken for {meant}" for what, meant in (pair[::power] for pair in pairs))
+    return f"{words}, a factor of {math.exp(abs(exponent)):.6g}"
 
 
 def _unread_unit(channel: str) -> str:

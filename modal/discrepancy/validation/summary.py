@@ -493,16 +493,29 @@ def free_words(found: Diagnosis) -> list[str]:
 def unit_words(found: Diagnosis) -> tuple[list[str], list[str]]:
     """Sentences on gains that look like a certain conversion of units, and those of the decision that say less."""
     sentences, vague = [], []
-    for one in found.findings:
-        if one.effect in GAINS:
-            gain = one.parameters[0]
-            if words := unit_error(gain.value, gain.std):
-                sentences.append(
-                    f"{one.where} reads {number(gain.value, 4)} times what the model expects, which is {words}; look "
-                    "at the units of this channel, in the file and in the model, before anything else"
-                )
-                vague.append(doubted_gain(gain.value, one.where))
+    for one, words in wrong_units(found):
+        gain = one.parameters[0].value
+        reads = "the output {} reads {} times what the model expects"
+        acts = "the input {} acts as {} times its numbers"
+        sentences.append(
+            f"{(reads if one.effect == 'sensor_gain' else acts).format(one.where, number(gain, 4))}, which looks like "
+            f"{words}; look at the units of this channel, in the file and in the model, before anything else"
+        )
+        vague.append(doubted_gain(gain, one.where))
     return sentences, vague
+
+
+def wrong_units(found: Diagnosis) -> list[tuple[Finding, str]]:
+    """Gains that look like a certain conversion of units, each with its words.
+
+    An output reads a gain times what moves it, an input acts as a gain times its numbers.
+    """
+    sizes = []
+    for one in found.findings:
+        if one.effect in GAINS and (gain := one.parameters[0].value):
+            power = -1 if one.effect == "sensor_gain" else 1
+            sizes.append((one, unit_error(gain**power, one.parameters[0].std * abs(gain) ** (power - 1))))
+    return [(one, words) for one, words in sizes if words]
 
 
 def _alike(records: Sequence[Record]) -> list[Record]:

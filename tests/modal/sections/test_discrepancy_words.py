@@ -51,6 +51,39 @@ def test_masses_that_explain_the_records_are_the_best_guess(diagnosis_of):
     assert "mass of dof_0" in words.next_steps(found)[0]
 
 
+@pytest.mark.parametrize(
+    ("effect", "where", "gain", "told"),
+    [
+        (
+            "sensor_gain",
+            "a1",
+            1 / 9.80665,
+            "the output a1 reads 0.1020 times what the model expects, which looks like g",
+        ),
+        (
+            "sensor_gain",
+            "a1",
+            9.80665,
+            "the output a1 reads 9.807 times what the model expects, which looks like m/s^2",
+        ),
+        (
+            "input_gain",
+            "force",
+            4.44822,
+            "the input force acts as 4.448 times its numbers, which looks like pound-force",
+        ),
+        ("input_gain", "force", 1 / 4.44822, "which looks like newton taken for pound-force, a factor of 4.44822"),
+    ],
+)
+def test_a_gain_of_a_conversion_says_what_was_taken_for_what_and_comes_first(diagnosis_of, effect, where, gain, told):
+    """An output in g that is taken for m/s^2 reads a tenth; a force in pounds acts as four times its numbers."""
+    found = diagnosis_of("unresolved", 1)
+    value = replace(found.findings[0].parameters[0], value=gain, std=1e-4 * gain)
+    found = with_cautions(with_first(found, effect=effect, where=where, parameters=(value,)))
+    assert any(told in warning for warning in found.warnings)
+    assert words.next_steps(found)[0] == f"Look at the units of {where} first, in the file and in the model."
+
+
 def test_masses_are_told_wherever_they_were_changed(diagnosis_of):
     """Not as calibration alone, nor as no effect."""
     found = diagnosis_of("none", 0)

@@ -273,10 +273,10 @@ def test_temperatures_of_loggers(header, factor, ice):
 @pytest.mark.parametrize(
     ("gain", "words"),
     [
-        (GRAVITY, "g taken for m/s"),
-        (1 / GRAVITY, "1 / 9.80665"),
-        (60 / (2 * np.pi), "revolutions"),
-        (1e-3, "thousandth"),
+        (GRAVITY, "g taken for m/s^2"),
+        (1 / GRAVITY, "m/s^2 taken for g or newton taken for kilogram-force, a factor of 9.80665"),
+        (2 * np.pi / 60, "revolutions per minute taken for rad/s, a factor of 9.5493"),
+        (1e-3, "a thousandth (mm, mV, gram) taken for the unit itself, a factor of 1000"),
         (25.4, "inches"),
         (4.4482216, "pound-force"),
         (-9.81, "g taken for m/s"),
