@@ -54,6 +54,7 @@ from modal.estimation.responses.order import (
 from modal.identification.order_search import COARSE_MODEL_ORDERS
 from modal.identification.result import Identification, OrderEvidence
 from modal.modes.extraction import extract_modes
+from modal.modes.modal_mass import DERIVATIVES
 from modal.modes.mode import Choice, Fit, ModalModel
 from modal.preparation.faults import forward_response, living_response
 from modal.verdict.judgement import Rerun, Reruns, blurred, doubted, judge, scattered, told_by_dips
@@ -69,6 +70,8 @@ from okid.frequency_response import (
 )
 from okid.markov import MarkovParameters
 
+FORCES = frozenset({"N", "N m"})
+"""Take an output in one of these for a force."""
 LARGEST_ORDER = 64
 """Try model orders up to this one, as for records."""
 LONGEST = 2048
@@ -567,6 +570,11 @@ def _warnings(found: _Found, modes: ModalModel, fit: Fit, tried: dict[ResponseWi
         words.append(
             f"The model does not explain the responses: it repeats {max(0, int(100 * fit.mean))} % of those of the "
             "other half of the averages."
+        )
+    if set(response.output_units) & FORCES and set(response.input_units) & set(DERIVATIVES):
+        words.append(
+            "The table holds force over motion: its modes are those of the structure held where that motion is imposed "
+            "(antiresonances of the free one). For the free structure invert it and give motion over force."
         )
     if not modes.system:
         words.append("No mode was found again often enough to be called a mode of the system.")

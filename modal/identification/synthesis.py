@@ -11,6 +11,7 @@ from era.realisation import Realisation
 from era.simulation import predict
 from modal.identification.result import Identification
 from modal.modes.modal_form import continuous_poles, discrete_poles, modal_basis
+from modal.modes.modal_mass import DERIVATIVES
 from modal.modes.mode import ModalModel
 from modal.modes.response_synthesis import frf
 from okid.arrays import frozen, require
@@ -21,7 +22,6 @@ from okid.record import Record
 Motion = Literal["as measured", "displacement", "velocity", "acceleration"]
 
 _UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2"}
-_POWERS = {"m": 0, "m/s": 1, "m/s^2": 2, "rad": 0, "rad/s": 1, "rad/s^2": 2}
 N_LINES = 1025
 """Give so many lines from 0 Hz to half the sampling frequency where nobody says which."""
 
@@ -69,16 +69,16 @@ def frequency_response(
     response = frf(model, lines)
     units = ("",) * model.n_outputs if names is None else names.output_units
     if motion != "as measured":
-        unknown = [unit or "no unit" for unit in units if unit not in _POWERS]
+        unknown = [unit or "no unit" for unit in units if unit not in DERIVATIVES]
         if unknown:
             raise InvalidDataError(
                 f"{motion} can be had of outputs in m, m/s, m/s^2 (or rad), but there are some in {unknown[0]}; take "
                 "motion='as measured', or state the units of the records."
             )
-        wanted = _POWERS[_UNITS[motion]]
+        wanted = DERIVATIVES[_UNITS[motion]]
         turned = (2j * np.pi * lines)[:, np.newaxis]
         with np.errstate(divide="ignore", invalid="ignore"):
-            response = response * (turned ** np.array([wanted - _POWERS[unit] for unit in units]))[:, :, np.newaxis]
+            response = response * (turned ** np.array([wanted - DERIVATIVES[unit] for unit in units]))[:, :, np.newaxis]
         response = np.where(np.isfinite(response), response, np.nan)
         units = tuple(_UNITS[motion].replace("m", "rad") if "rad" in unit else _UNITS[motion] for unit in units)
     return FrequencyResponse(

@@ -338,6 +338,10 @@ def _add_units(found: _Functions, each: Mapping[str, Any], output: str, input_: 
     above, below = unit_of(each, "ordinate", is_si=is_si), unit_of(each, "orddenom", is_si=is_si)
     if not below and "/" in above:
         above, below = _quotient(above)
+    _in_si(found, output, input_, above, below)
+
+
+def _in_si(found: _Functions, output: str, input_: str, above: str, below: str) -> None:
     out, into = convert_unit(output, above), convert_unit(f"force {input_}", below)
     found.responses[output, input_] = found.responses[output, input_] * (out.factor / into.factor)
     found.output_units.setdefault(output, out.unit)
@@ -345,7 +349,9 @@ def _add_units(found: _Functions, each: Mapping[str, Any], output: str, input_: 
 
 
 def _quotient(unit: str) -> tuple[str, str]:
-    """Output and input unit of "m/s^2/N", "(m/s^2)/N" or "g/N"; "m/s^2" alone is an output's."""
+    """Output and input unit of "m/s^2/N", "(m/s^2)/N", "N/(m/s^2)" or "g/N"; "m/s^2" alone is an output's."""
+    if whole := re.fullmatch(r"\s*([^()]+?)\s*/\s*\(([^()]+)\)\s*", unit):
+        return whole[1], whole[2].strip()
     above, _, below = unit.rpartition("/")
     below = below.strip(" ()")
     if not above or re.fullmatch(r"m?s(?:ec)?\^?\*{0,2}\d?|s²", below):
@@ -455,11 +461,8 @@ def _add_function(found: _Functions, function: str, parts: dict[str, tuple[Float
         )
     if not same:
         raise UnreadableFileError(f"re and im of {function!r} in {path.name} have different units; correct the header.")
-    above, below = _quotient(unit)
-    out, into = convert_unit(output, above), convert_unit(f"force {input_}", below)
-    _add(found.responses, (output, input_), values * (out.factor / into.factor), path)
-    found.output_units.setdefault(output, out.unit)
-    found.input_units.setdefault(input_, into.unit)
+    _add(found.responses, (output, input_), values, path)
+    _in_si(found, output, input_, *_quotient(unit))
     if "coherence" in parts:
         found.coherences[output, input_] = parts["coherence"][0]
 

@@ -59,6 +59,13 @@ def test_exact_responses_give_exact_modes(identified):
     assert not identified.warnings
 
 
+def test_force_over_motion_is_told_as_what_it_is():
+    """Its poles are antiresonances of the free structure: right, but not what is usually asked for."""
+    table = exact_table()
+    held = dataclasses.replace(table, output_units=("N",) * 3, input_units=("m/s^2",) * 2)
+    assert any("force over motion" in words for words in modal.identify(held).warnings)
+
+
 def test_motions_are_powers_of_the_angular_frequency(identified):
     lines = np.array([0.0, 2.0, 7.0])
     position = modal.frequency_response(identified, lines)

@@ -232,3 +232,20 @@ def test_damaged_files_are_refused_or_read_as_they_are(table, tmp_path):
             continue
         assert np.isfinite(found.response[~np.isnan(found.response)]).all()
     assert n_refused > 100
+
+
+@pytest.mark.parametrize(
+    ("unit", "output", "into", "factor"),
+    [
+        ("kN/(mm/s^2)", "N", "m/s^2", 1e6),
+        ("N/m", "N", "m", 1.0),
+        ("(mm/s^2)/N", "m/s^2", "N", 1e-3),
+        ("mm/s^2/kN", "m/s^2", "N", 1e-6),
+    ],
+)
+def test_the_unit_of_a_quotient_is_taken_apart(unit, output, into, factor, tmp_path):
+    header = f"frequency [Hz],a1/f re [{unit}],a1/f im [{unit}]\n"
+    (tmp_path / "frf.csv").write_text(header + "".join(f"{line},{line + 1},0\n" for line in range(8)))
+    read = read_response(tmp_path / "frf.csv")
+    assert (read.output_units, read.input_units) == ((output,), (into,))
+    np.testing.assert_allclose(read.response[:, 0, 0], factor * np.arange(1, 9))
