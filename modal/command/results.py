@@ -16,6 +16,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from modal.command.options import Overwrite, Traceback, complain, examples, faults, folder_path
 from modal.command.terminal import Screen, listing, plain, show_paths
@@ -28,7 +29,7 @@ from modal.wording.text import hertz, shorten
 from okid.errors import InvalidDataError, UnreadableFileError, visible
 from okid.readers.guard import Existing
 
-_ORDER = ("beyond chance", "perhaps chance", "within its interval", "not known")
+_MARKS = {"beyond chance": "*", "perhaps chance": "~", "within its interval": " ", "not known": "?"}
 _COLOURS = {
     "beyond chance": "bold red",
     "perhaps chance": "yellow",
@@ -46,6 +47,9 @@ def show_difference(console: Console, comparison: Comparison) -> None:
     if comparison.pairs:
         console.print()
         console.print(_table(comparison.pairs))
+        told = {shift.verdict for pair in comparison.pairs for shift in pair.shifts}
+        legend = [f"{mark} {verdict}" for verdict, mark in _MARKS.items() if verdict in told and mark.strip()]
+        console.print(plain("   ".join(legend) or "all within their intervals", "bright_black"))
     lost = [words.unmatched_sentence(one, present=before, absent=after) for one in comparison.lost]
     new = [words.unmatched_sentence(one, present=after, absent=before) for one in comparison.new]
     listing(console, "Lost", lost, "yellow")
@@ -62,26 +66,21 @@ def _table(pairs: Sequence[ModePair]) -> Table:
         table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("")
     for pair in pairs:
-        worst = min(pair.shifts, key=lambda shift: _ORDER.index(shift.verdict))
+        verdicts = (pair.before.verdict, pair.after.verdict)
         table.add_row(
             plain(str(pair.number_before), "bright_black"),
             plain(hertz(pair.before.frequency)),
             plain(hertz(pair.after.frequency)),
-            plain(words.percent_text(pair.frequency), _COLOURS[pair.frequency.verdict]),
-            plain(words.percent_text(pair.damping), _COLOURS[pair.damping.verdict]),
-            plain(words.assurance_text(pair.shape), _COLOURS[pair.shape.verdict]),
-            plain(_meaning(pair, worst), _COLOURS[worst.verdict]),
+            _marked(words.percent_text(pair.frequency), pair.frequency),
+            _marked(words.percent_text(pair.damping), pair.damping),
+            _marked(words.assurance_text(pair.shape), pair.shape),
+            plain(" → ".join(verdicts) if len(set(verdicts)) > 1 else "", "yellow"),
         )
     return table
 
 
-def _meaning(pair: ModePair, worst: Shift) -> str:
-    """What stands out most of a mode; where nothing does, that."""
-    if worst.verdict in ("within its interval", "not known"):
-        return words.verdict_change(pair) or ("no change" if worst.verdict != "not known" else "not known")
-    same = [shift.what for shift in pair.shifts if shift.verdict == worst.verdict]
-    parts = (f"{' and '.join(same)} {worst.verdict}", words.verdict_change(pair))
-    return "; ".join(part for part in parts if part)
+def _marked(text: str, shift: Shift) -> Text:
+    return plain(f"{text} {_MARKS[shift.verdict]}", _COLOURS[shift.verdict])
 
 
 def _difference(one: Difference) -> str:

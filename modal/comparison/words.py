@@ -14,6 +14,11 @@ from okid.errors import visible
 def comparison_headline(comparison: Comparison) -> str:
     """What changed, in one sentence."""
     n_pairs = len(comparison.pairs)
+    if n_pairs and not _common(comparison):
+        return (
+            f"No output channel is in both results, so nobody knows whether their modes are the same: {n_pairs} "
+            f"{'is' if n_pairs == 1 else 'are'} set side by side by frequency and damping alone."
+        )
     shifted = [pair for pair in comparison.pairs if pair.changed]
     alone = [
         f"{count} {word}" for count, word in ((_sure(comparison.lost), "lost"), (_sure(comparison.new), "new")) if count
@@ -39,6 +44,11 @@ def comparison_headline(comparison: Comparison) -> str:
         words += " by itself, but the frequencies of all did together"
     unknown = f"; of {untested} it cannot be told" if untested else ""
     return f"{words}{unknown}{'; ' + rest if rest else ''}."
+
+
+def _common(comparison: Comparison) -> set[str]:
+    """Outputs that both results have."""
+    return {one.name for one in comparison.before.outputs} & {one.name for one in comparison.after.outputs}
 
 
 def pair_sentence(pair: ModePair) -> str:
@@ -146,8 +156,8 @@ def how_sentence(comparison: Comparison) -> str:
 def caution_sentences(comparison: Comparison) -> tuple[str, ...]:
     """What makes the comparison weaker than it looks."""
     sentences = []
-    names = [{channel.name for channel in one.outputs} for one in (comparison.before, comparison.after)]
-    if not names[0] & names[1]:
+    if not _common(comparison):
+        names = [{channel.name for channel in one.outputs} for one in (comparison.before, comparison.after)]
         sentences.append(
             f"The results have no output channel in common ({_named(names[0])}; {_named(names[1])}): modes were "
             "matched by frequency and damping alone, and no shape was compared."

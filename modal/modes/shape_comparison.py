@@ -344,7 +344,7 @@ def pair_modes(first: ModalModel | Shapes, second: ModalModel | Shapes) -> ModeP
         Pairs with a MAC above 0.5, and what is left alone.
 
     Raises:
-        InvalidDataError: the sets have no channel in common.
+        InvalidDataError: the sets have no channel in common, or one alone and no frequencies.
 
     Example:
         >>> one = Shapes([[1.0, 1.0], [1.0, -1.0]], ["a", "b"])
@@ -354,6 +354,11 @@ def pair_modes(first: ModalModel | Shapes, second: ModalModel | Shapes) -> ModeP
     one, other, frequencies = _joined(first, second)
     alike = assurance(one, other)
     nearness = np.ones_like(alike)
+    if frequencies is None and one.shape[0] < 2:
+        raise InvalidDataError(
+            "pairing modes by shape needs at least two channels that both sets have; with one every MAC is 1: give "
+            "both sets frequencies, or more channels."
+        )
     if frequencies is not None:
         ratio = frequencies[0][:, np.newaxis] / frequencies[1]
         nearness = np.minimum(ratio, 1.0 / ratio)

@@ -57,7 +57,9 @@ def test_what_changed_is_printed(data, capsys):
     status, out, err = diff(capsys, "a.npz", "b.npz")
     assert (status, err) == (0, "")
     assert "1 of 3 matched modes changed beyond chance; of 1 it cannot be told; 1 lost." in out
-    assert "-3.00 ± 0.28 %" in out
+    assert "-3.00 ± 0.28 % *" in out
+    assert "* beyond chance" in out
+    assert max(map(len, out.splitlines())) <= 80
     assert "16.6 Hz, a mode of the system in a.npz, has no partner in b.npz" in " ".join(out.split())
     assert "model order: 6 → 8 <b>| x" in out
     assert "same measured data" in out

@@ -352,6 +352,9 @@ def test_results_without_a_common_channel_or_mode_say_so(result):
     record = replace(result.records[0], output_names=["a", "b", "c"])
     elsewhere = replace(result, records=(record,))
     cautions = " ".join(words.caution_sentences(compare_results(result, elsewhere)))
+    assert words.comparison_headline(compare_results(result, elsewhere)).startswith(
+        "No output channel is in both results"
+    )
     assert "no output channel in common (floor_1, floor_2, floor_3; a, b, c)" in cautions
     assert "in common" not in " ".join(words.caution_sentences(compare_results(result, result)))
     far = tuple(replace(mode, frequency=50 * mode.frequency, pole=50 * mode.pole) for mode in result.modes)

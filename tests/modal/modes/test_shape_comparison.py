@@ -230,4 +230,14 @@ def test_the_deviation_of_a_mac_is_that_of_shapes_drawn_anew():
         mac = np.abs(drawn @ exact) ** 2 / ((np.abs(drawn) ** 2).sum(axis=1) * (exact @ exact))
         truth = np.sqrt(((mac - pairs.assurance[0]) ** 2).mean())
         assert pairs.assurance_std[0] == pytest.approx(truth, rel=0.12)
-    assert np.isnan(pair_modes(Shapes([[1.0]], ["a"]), Shapes([[1.0]], ["a"])).assurance_std).all()
+    given = Shapes([[1.0], [0.5]], ["a", "b"])
+    assert np.isnan(pair_modes(given, given).assurance_std).all()
+
+
+def test_one_channel_in_common_pairs_no_modes_by_shape():
+    """Every MAC is 1 there, and 20 Hz was paired with 30."""
+    first = Shapes([[1.0, 1.0], [1.0, -1.0]], ["a", "b"])
+    with pytest.raises(InvalidDataError, match="with one every MAC is 1"):
+        pair_modes(first, Shapes([[1.0, 1.0]], ["b"]))
+    known = [Shapes(one.shapes, one.names, frequencies=[10.0, 20.0]) for one in (first, Shapes([[1.0, 2.0]], ["b"]))]
+    assert pair_modes(*known).pairs == ((0, 0), (1, 1))
