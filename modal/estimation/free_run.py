@@ -434,6 +434,12 @@ def begins_at_rest(record: Record, n_states: int) -> bool:
     return bool((record.outputs[: n_states + 1] == record.outputs[0]).all())
 
 
+def n_at_rest(record: Record) -> int:
+    """Rows at the start in which nothing acts and no output moves."""
+    moves = record.inputs.any(axis=1) | (record.outputs != record.outputs[:1]).any(axis=1)
+    return int(moves.argmax()) if moves.any() else record.n_samples
+
+
 def _left_from_rest(model: ModalForm, record: Record) -> tuple["ModalRecursion", FloatArray]:
     """What the run from rest leaves of the outputs, and the products for it, of the inputs that are not zero."""
     moving = record.inputs.any(axis=0)

@@ -496,7 +496,8 @@ class Sections:
         n_inputs, n_states = parameters.inputs.shape[1], parameters.states.shape[0]
         first = n_inputs if self.n_measured is None else self.n_measured
         still = range(first, n_inputs) if not parameters.inputs[own, first:].any() else ()
-        return [j for j in range(n_inputs + n_states) if j != held and j not in still]
+        resting = n_inputs + np.flatnonzero(~parameters.states.any(axis=1))  # begins at rest: known
+        return [j for j in range(n_inputs + n_states) if j != held and j not in still and j not in resting]
 
     @staticmethod
     def _of_section(drives: ComplexArray, first: int, second: int, s: complex) -> tuple[FloatArray, FloatArray]:

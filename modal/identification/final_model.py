@@ -259,7 +259,6 @@ def _refined(
         fitted,
         model,
         refined,
-        noise_free="rows of rest, which hold no noise, stand before the record" if n_rest else "",
         measured=measured,
         feedback=feedback,
         order_given=order_given,

@@ -20,7 +20,7 @@ from era.realisation import Realisation
 from era.state_recursion import PoleRecursion
 from modal.estimation.cross_validation import scaled_model, scaled_record
 from modal.estimation.fits import model_runs
-from modal.estimation.free_run import can_be_foretold
+from modal.estimation.free_run import begins_at_rest, can_be_foretold, n_at_rest
 from modal.estimation.modal_parameters import errors_of, in_data_states, starting_parameters
 from modal.estimation.modal_states import blocks_of
 from modal.estimation.output_error import OutputError, PolesAndParticipations, RefinementStep, step_at
@@ -112,13 +112,12 @@ def noise_model(
     if why_not:
         return None, why_not
     scaling = channel_scaling(records)
-    scaled = tuple(scaled_record(record, scaling) for record in records)
-    rows = tuple(record.complete_rows() for record in records)
+    scaled, rows = zip(*(_about_rest(scaled_record(record, scaling), start.order) for record in records), strict=True)
     first = scaled_model(start, scaling)
     reference = _output_error(first, scaled, rows, progress)
     data = predictor_data(scaled, rows)
-    found = reference.step if reference is not None else None if start.n_inputs else predictor_start(first, data)
-    if found is None or leaves_rounding(found, n_rows_of(data)):
+    found = predictor_start(first, data) if reference is None else reference.step
+    if (found is None and not start.n_inputs) or (found is not None and leaves_rounding(found, n_rows_of(data))):
         return None, "the model explains the outputs to rounding, or cannot run"
     least = -np.inf if reference is None or feedback else _least_criterion(reference, first, data)
     hopeless = reference is not None and reference.criterion <= least
@@ -148,8 +147,21 @@ def noise_model(
         past=0 if start.n_inputs else past,
     )
     reason = f"criterion {gained:.3g} below that of output error" if start.n_inputs else "no input was measured"
+    reason = "output error has no model that runs" if start.n_inputs and reference is None else reason
     reason = "the outputs seem to be fed back into the inputs" if feedback else reason
     return model, f"maximum likelihood, {reason}; its errors are white (ratio {ratio:.2f})"
+
+
+def _about_rest(record: Record, n_states: int) -> tuple[Record, BoolArray]:
+    """The record and which of its rows count; where it begins at rest, the outputs are zero there, and none of these.
+
+    Rows of rest were not measured and hold no noise: all they say is that the state is zero, a predictor's too.
+    """
+    rows = record.complete_rows()
+    if not begins_at_rest(record, n_states):
+        return record, rows
+    rows[: n_at_rest(record)] = False
+    return replace(record, outputs=record.outputs - record.outputs[0]), rows
 
 
 def _why_not_foretold(records: Sequence[Record]) -> str:

@@ -325,6 +325,50 @@ def test_a_predictor_whose_errors_follow_the_inputs_is_not_taken():
     assert "follow the inputs" in why
 
 
+def released_while_driven(n_at_rest):
+    """A decay of 1500 rows in two outputs, a fiftieth of it ambient motion of the same modes, after rows of rest."""
+    rng, poles = np.random.default_rng(12), (0.99 * np.exp(0.3j), 0.985 * np.exp(0.9j))
+    A = scipy.linalg.block_diag(*([[pole.real, pole.imag], [-pole.imag, pole.real]] for pole in poles))
+    C = rng.standard_normal((2, 4))
+    start = Realisation(A, np.ones((4, 1)), C, np.zeros((2, 1)), 0.01, K=0.01 * rng.standard_normal((4, 2)))
+    y, x = np.zeros((n_at_rest + 1501, 2)), np.ones(4)
+    for row in y[n_at_rest + 1 :]:
+        row[:] = C @ x + 0.001 * rng.standard_normal(2)
+        x = A @ x + 0.02 * rng.standard_normal(4)
+    release = np.zeros((len(y), 1))
+    release[n_at_rest] = 1.0
+    return start, Record(release, y, 0.01)
+
+
+def test_rows_of_rest_say_that_the_state_is_zero_and_nothing_of_the_noise():
+    """They stand before a release for the observer's sake, and were not measured: more of them change nothing."""
+    seen = []
+    for n_at_rest in (40, 400):
+        start, record = released_while_driven(n_at_rest)
+        found, why = noise_model([record], start, evidence=start)
+        assert found is not None, why
+        assert (found.realisation.order, found.n_noise) == (4, 0)
+        assert not found.fit.step.parameters.states.any()
+        modes = extract_modes(found.realisation).modes
+        known = innovation_uncertainty(found, modes, n_lags=1)
+        seen.append([found.covariance.ravel(), [m.frequency for m in modes], known.frequency_std])
+        error = np.sort([m.frequency for m in modes]) - np.array([0.3, 0.9]) / (2 * np.pi * 0.01)
+        assert (np.abs(error) < 4 * known.frequency_std).all()
+    for short, long in zip(*seen, strict=True):
+        np.testing.assert_allclose(long, short, rtol=0.02)
+
+
+def test_where_output_error_has_no_model_that_runs_there_may_be_one_with_its_noise():
+    """Free exponentials that follow what drives a decay end on the unit circle, where rounding lets them grow."""
+    start, record = released_while_driven(40)
+    A = scipy.linalg.block_diag(start.A, 1.0 + 1e-8)
+    grows = Realisation(A, np.ones((5, 1)), np.ones((2, 5)), start.D, start.dt, K=np.zeros((5, 2)))
+    found, why = noise_model([record], grows, evidence=grows)
+    assert found is not None, why
+    assert found.realisation.order == 4
+    assert "runs" in why
+
+
 def test_forces_that_nobody_measured_are_the_noise_of_modes_that_the_inputs_hardly_drive():
     """Two hidden forces as large as the measured one: white errors on the outputs were assumed for want of a better."""
     case = noise_record("hidden", system=13000, record=0)

@@ -145,19 +145,17 @@ def test_an_integrator_ends_with_a_stable_model():
     assert found.chosen in found.trials
 
 
-def test_where_samples_hold_no_noise_no_model_of_it_is_asked_for():
-    """Red noise asks for one; rows of rest that were put in front of a blow say nothing of it."""
+def test_rows_of_rest_in_front_of_a_blow_leave_the_noise_behind_it_to_be_modelled():
+    """Red noise asks for a model; rows of rest hold none and are not asked."""
     rng = np.random.default_rng(8)
     u, noise = rng.standard_normal((2, 1200))
     pole = 0.97 * np.exp(0.5j)
     y = scipy.signal.lfilter([0, 1.0], [1, -2 * pole.real, abs(pole) ** 2], u)
-    record = Record(u, y + scipy.signal.lfilter([1.0], [1.0, -0.9], noise), 0.1)
-    found = search([record], observer_order=8)
-    _, coloured = fit_all_rows([record], found)
-    _, told = fit_all_rows([record], found, n_rest=20)
-    assert coloured.noise is not None
-    assert told.noise is None
-    assert "rows of rest" in told.why
+    seen = y + scipy.signal.lfilter([1.0], [1.0, -0.9], noise)
+    record = Record(np.r_[np.zeros(20), u], np.r_[np.zeros(20), seen], 0.1)
+    _, final = fit_all_rows([record], search([record], observer_order=8), n_rest=20)
+    assert final.noise is not None
+    assert final.noise.covariance.item() == pytest.approx(1.0, abs=0.1)
 
 
 @pytest.mark.parametrize("seed", [0, 2])
