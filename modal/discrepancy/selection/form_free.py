@@ -117,10 +117,10 @@ def split_at_rest(fitted: Estimate, spread: FloatArray) -> tuple[FloatArray, tup
         move = -C J' (J C J')^-1 J x        lack = x' J' (J C J')^-1 J x,  chi-square of as many degrees as rows of J
 
     A law that is smooth over its points moves by no more than its chance. Where chance does not make the lack of the
-    pair next to rest, closer points would move the split again. If this move is at most half of what the pair after it
-    moves, the moves of ever closer points are seen to halve, and all of them come to no more than this one: so of a
-    strong sinh. Of a law without a curvature at rest they hardly fall: then nothing says where the split ends, and what
-    both pairs move is counted.
+    pair next to rest, closer points would move the split again. With a the move by the pair after it and b that by the
+    pair next to rest, if b is at most half of a the moves are seen to converge, and the sum of all that follow,
+    b r / (1 - r) with r = b / a, is counted: next to nothing of a strong sinh. Of a law without a curvature at rest the
+    moves hardly fall: then nothing says where the split ends, and what both pairs move is counted.
 
     Args:
         fitted: The model.
@@ -128,7 +128,7 @@ def split_at_rest(fitted: Estimate, spread: FloatArray) -> tuple[FloatArray, tup
 
     Returns:
         (n_common,) the moves of the linear parts and of the laws' own forces, 0 for all others; and the names of the
-        linear parts beside laws with moves that do not halve.
+        linear parts beside laws with moves that do not converge.
 
     References:
         Wald, Tests of statistical hypotheses concerning several parameters when the number of observations is large,
@@ -139,20 +139,21 @@ def split_at_rest(fitted: Estimate, spread: FloatArray) -> tuple[FloatArray, tup
     for i, item in enumerate(assembly.placements):
         if not isinstance(item.effect, SmoothLaw):
             continue
-        name, first = item.effect.linear_name(item.where), assembly.common_of(i).start
-        linear = [j for j, one in enumerate(assembly.plant.parameters) if one.name == name]
-        own = np.arange(first, first + len(item.common))
-        if not linear:
+        law, start = item.effect, assembly.common_of(i).start
+        name, own = law.linear_name(item.where), np.arange(start, start + len(item.common))
+        linear = next((j for j, one in enumerate(assembly.plant.parameters) if one.name == name), None)
+        if linear is None:
             continue
-        moved, law = [*linear, *own], item.effect
         first, likely = _without(law.bends(common[own], 1), own, common, spread)
-        moves[moved] = np.abs(first[moved])
-        if likely:
-            continue
-        both, _ = _without(law.bends(common[own], 2), own, common, spread)
-        if np.any(np.abs(first[linear]) > 0.5 * np.abs(both - first)[linear]):
-            moves[moved] = np.maximum(moves, np.abs(both))[moved]
+        both, _ = (first, likely) if likely else _without(law.bends(common[own], 2), own, common, spread)
+        last, before = (float(abs(one[linear])) for one in (first, both - first))
+        size = np.abs(first)
+        if not likely and 2.0 * last <= before:
+            size *= last / max(before - last, TINY)
+        elif not likely:
+            size = np.maximum(size, np.abs(both))
             unresolved.append(name)
+        moves[[linear, *own]] = size[[linear, *own]]
     return moves, tuple(unresolved)
 
 
