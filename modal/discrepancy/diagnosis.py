@@ -16,6 +16,7 @@ from modal.discrepancy.noise.floor import noise_floor
 from modal.discrepancy.programs.black_box import diagnose_callable
 from modal.discrepancy.results import Calibrated, Diagnosis
 from modal.discrepancy.selection.decision import Decision, decide_nodes, search_and_decide
+from modal.discrepancy.selection.form_free import split_at_rest
 from modal.discrepancy.selection.screening import Candidate, screen_candidates
 from modal.discrepancy.setup import (
     Progress,
@@ -228,7 +229,8 @@ def fit(
     chosen = (records,) if isinstance(records, Record) else tuple(records)
     given, found, problem = _estimated(model, chosen, floor, sensor_kind, catalogue, forces=False)
     spread = covariance(found, problem)
-    deviations = np.sqrt(np.maximum(np.diag(spread)[: found.assembly.n_common], 0.0))
+    chance = np.sqrt(np.maximum(np.diag(spread)[: found.assembly.n_common], 0.0))
+    deviations = np.hypot(chance, split_at_rest(found, spread)[0])
     return Fitted(
         model=returned_model(given, found.assembly, found.unknowns, deviations),
         level=found.level,

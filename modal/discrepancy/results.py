@@ -216,9 +216,10 @@ class LawCurve(Displayed):
         against: What it is drawn against.
         motion: (n,) grid of it, in `motion_unit`.
         force: (n,) the law.
-        deviation: (n,) standard deviation of the law from that of its parameters. Of a law of unknown form also from
-            that of the linear part beside it, and what the law still moves between its points with more of them; and
-            so much wider that 1.96 of it hold the whole curve, not each point by itself, in 95 of 100 cases.
+        deviation: (n,) standard deviation of the law from that of its parameters. Of a law of unknown form it is
+            that of law and linear part together, which are known better than each by itself: also from the chance of
+            the linear part, and what both still move between the points with more of them; and so much wider that 1.96
+            of it hold the whole curve, not each point by itself, in 95 of 100 cases.
         points_motion: (m,) centres of bins of the motion.
         points_force: (m,) force in each bin, free of the law's form, from the data.
         points_deviation: (m,) standard deviation of each.

@@ -140,6 +140,21 @@ class SmoothLaw(ForceEffect):
         low, high = (float(np.mean(value)) for value in values[:2])
         return np.searchsorted(_points(low, high, self.n_points)[1:-1], motion)
 
+    def bends(self, values: Values, n_pairs: int) -> FloatArray:
+        """(n, n_parameters) jumps of the third derivative at the `n_pairs` points next to rest on either side.
+
+        Without such a jump the cubics on both sides of a point are one, as if it were not there: so are the outer ones.
+        """
+        low, high = (float(np.mean(value)) for value in values[:2])
+        if not _passes_rest(low, high):
+            return np.zeros((0, len(self.parameters)))
+        rest = _at_rest(_points(low, high, self.n_points))
+        near = [rest + side * step for step in range(1, n_pairs + 1) for side in (-1, 1)]
+        near = [i for i in near if 2 <= i <= self.n_points - 3]
+        cubes = 6.0 * _splines(low, high, self.n_points)[0].c[0]
+        jumps = np.array([cubes[i] - cubes[i - 1] for i in near]).reshape(len(near), -1)
+        return np.column_stack([np.zeros((len(near), 2)), jumps])
+
     def linear_name(self, where: str) -> str:
         """Name of the linear parameter of the same motion at a place."""
         return f"{'stiffness' if self.reads == 'displacement' else 'damping'} of {where}"

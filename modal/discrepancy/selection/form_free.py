@@ -12,17 +12,20 @@ from itertools import chain
 from typing import cast
 
 import numpy as np
+import numpy.typing as npt
+import scipy
 
-from modal.discrepancy.fitting.estimation import FAR_ABOVE, estimate, simulate_at
+from modal.discrepancy.fitting.estimation import FAR_ABOVE, Estimate, estimate, simulate_at
 from modal.discrepancy.fitting.nodes import Node, Task, counts, node_of
 from modal.discrepancy.fitting.observed_fits import CLEAR
+from modal.discrepancy.noise.spectral import log_chi_square_tail
 from modal.discrepancy.selection.beam import expand
 from modal.discrepancy.selection.lack_of_fit import lack_of_fit, what_is_left
 from modal.effects.smooth_law import N_POINTS, SmoothLaw
 from modal.simulation.assembly import Unknowns
 from modal.simulation.scheme import Budget
-from modal.simulation.tolerances import explained
-from okid.arrays import FloatArray
+from modal.simulation.tolerances import ROUNDING, UNLIKELY, explained
+from okid.arrays import TINY, FloatArray
 
 MOST_WORK = 5e7
 """End the search for curves beside one model after so much work, about ten CPU seconds."""
@@ -100,6 +103,73 @@ def unsettled(node: Node, task: Task, motion: FloatArray) -> FloatArray:
     largest = np.zeros(intervals.max(initial=0) + 1)
     np.maximum.at(largest, intervals, np.abs(forces[1] - forces[0]))
     return np.asarray(largest[intervals])
+
+
+def split_at_rest(fitted: Estimate, spread: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
+    """How far a smooth law and the linear part of its motion may be moved against each other.
+
+    The records know the sum of the two. What tells them apart is the slope of the curve at rest, which hangs on how
+    smooth the curve is taken to be: a law like |v|^1.5 is steeper next to rest than any spline, and the linear part
+    takes up the slope. How much hangs on it is seen without the points next to rest: with x the law's forces and J x
+    their jumps of the third derivative at these points, the constraint J x = 0 makes one cubic of those on both sides
+    of each, and with all else free the unknowns of covariance C move by
+
+        move = -C J' (J C J')^-1 J x        lack = x' J' (J C J')^-1 J x,  chi-square of as many degrees as rows of J
+
+    A law that is smooth over its points moves by no more than its chance. Where chance does not make the lack of the
+    pair next to rest, closer points would move the split again. With a the move by the pair after it and b that by the
+    pair next to rest, if b is at most half of a the moves are seen to converge, and the sum of all that follow,
+    b r / (1 - r) with r = b / a, is counted: next to nothing of a strong sinh. Of a law without a curvature at rest the
+    moves hardly fall: then nothing says where the split ends, and what both pairs move is counted.
+
+    Args:
+        fitted: The model.
+        spread: (n, n) covariance of all unknowns.
+
+    Returns:
+        (n_common,) the moves of the linear parts and of the laws' own forces, 0 for all others; and the names of the
+        linear parts beside laws with moves that do not converge.
+
+    References:
+        Wald, Tests of statistical hypotheses concerning several parameters when the number of observations is large,
+        Trans. Amer. Math. Soc. 54, 1943, https://doi.org/10.1090/S0002-9947-1943-0012401-3
+    """
+    assembly, common = fitted.assembly, fitted.unknowns.common
+    moves, unresolved = np.zeros(assembly.n_common), []
+    for i, item in enumerate(assembly.placements):
+        if not isinstance(item.effect, SmoothLaw):
+            continue
+        law, start = item.effect, assembly.common_of(i).start
+        name, own = law.linear_name(item.where), np.arange(start, start + len(item.common))
+        linear = next((j for j, one in enumerate(assembly.plant.parameters) if one.name == name), None)
+        if linear is None:
+            continue
+        first, likely = _without(law.bends(common[own], 1), own, common, spread)
+        both, _ = (first, likely) if likely else _without(law.bends(common[own], 2), own, common, spread)
+        last, before = (float(abs(one[linear])) for one in (first, both - first))
+        size = np.abs(first)
+        if not likely and 2.0 * last <= before:
+            size *= last / max(before - last, TINY)
+        elif not likely:
+            size = np.maximum(size, np.abs(both))
+            unresolved.append(name)
+        moves[[linear, *own]] = size[[linear, *own]]
+    return moves, tuple(unresolved)
+
+
+def _without(
+    bends: FloatArray, own: npt.NDArray[np.intp], common: FloatArray, spread: FloatArray
+) -> tuple[FloatArray, bool]:
+    """(n_common,) the step to the best model without some bends of a law, and whether chance may have made these."""
+    if not len(bends):
+        return np.zeros(len(common)), True
+    crossed = bends @ spread[own]
+    size = np.sqrt(np.maximum(np.einsum("nj,nj->n", crossed[:, own], bends), TINY))
+    inverse = scipy.linalg.pinvh(crossed[:, own] @ bends.T / np.outer(size, size), rtol=ROUNDING)
+    found = bends @ common[own] / size
+    lack = float(found @ inverse @ found)
+    step = -(crossed / size[:, np.newaxis]).T @ (inverse @ found)
+    return step[: len(common)], log_chi_square_tail(lack, len(bends)) > np.log(UNLIKELY)
 
 
 def _passes(node: Node, root: Node, task: Task) -> bool:

@@ -20,7 +20,7 @@ from modal.discrepancy.results import (
     explained_words,
 )
 from modal.discrepancy.selection.decision import Decision
-from modal.discrepancy.selection.form_free import unsettled
+from modal.discrepancy.selection.form_free import split_at_rest, unsettled
 from modal.discrepancy.selection.screening import Candidate, screen_candidates
 from modal.discrepancy.selection.undetermined import GAINS, doubted_gain
 from modal.discrepancy.setup import Setup, circumstances_of, simulated_outputs
@@ -255,7 +255,7 @@ def diagnosis_of(
     root, best, task = nodes[0], decision.node, setup.task
     decision = with_findings(decision, root, setup)
     circumstances = _circumstances(best, setup)
-    _, _, deviations = _spread(best, task)
+    _, spread, deviations = _spread(best, task)
     calibrated = calibrated_parameters(best.fitted, deviations)
     known = with_masses(setup.given.plant, best.masses)
     hits = tuple(item.name for item in calibrated if item.at_bound)
@@ -287,6 +287,7 @@ def diagnosis_of(
             *_beyond_words(calibrated, known),
             *_mass_words(calibrated, best),
             *_gain_words(decision, circumstances),
+            *_split_words(best, spread),
             *decision.notes,
             *decision.reasons,
         ),
@@ -314,11 +315,15 @@ def _circumstances(best: Node, setup: Setup) -> frozenset[Circumstance]:
 
 
 def _spread(best: Node, task: Task) -> tuple[Problem, FloatArray, FloatArray]:
-    """The records on the grid of the fit, the covariance of all unknowns, and deviations of the common ones."""
+    """The records on the grid of the fit, the covariance of all unknowns, and deviations of the common ones.
+
+    These hold what the grid may have left, and what only the smoothness of a curve tells from its linear part.
+    """
     problem = task.fine_fit if best.fitted.trajectory.drive.dt < task.fit.drive.dt else task.fit
     spread = covariance(best.fitted, problem)
     chance = np.sqrt(np.maximum(np.diag(spread)[: best.fitted.assembly.n_common], 0.0))
-    return problem, spread, np.hypot(chance, grid_error(best))
+    moves, _ = split_at_rest(best.fitted, spread)
+    return problem, spread, np.hypot(np.hypot(chance, grid_error(best)), moves)
 
 
 def calibrated_parameters(fitted: Estimate, deviations: FloatArray) -> tuple[Calibrated, ...]:
@@ -358,6 +363,16 @@ def _beyond_words(calibrated: Sequence[Calibrated], plant: Plant) -> tuple[str, 
     if not beyond:
         return ()
     return (f"{listed(beyond)} lies beyond the tolerance of the model that was given: check the nominal values",)
+
+
+def _split_words(best: Node, spread: FloatArray) -> tuple[str, ...]:
+    """Linear parts of which the curve beside them takes a share that only its smoothness at rest decides."""
+    return tuple(
+        f"the {name} and the smooth law beside it are known better together than each by itself: the law bends more "
+        f"sharply near rest than its points follow, so how much of the slope there is {name.split(' of ')[0]} is known "
+        "only within the deviation that is stated for it"
+        for name in split_at_rest(best.fitted, spread)[1]
+    )
 
 
 def _mass_words(calibrated: Sequence[Calibrated], best: Node) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 import outside_catalogue
 import pytest
 import scipy
-from engine_records import experiment, held_noise, nominal
+from engine_records import NOISE, experiment, held_noise, nominal
 from outside_laws import outside_case
 
 import modal
@@ -97,6 +97,42 @@ def test_the_band_of_a_curve_holds_the_true_law_where_a_spline_cannot_follow_it(
     band = 1.96 * np.interp(visited, law.motion, law.deviation)
     assert np.all(off <= band)
     assert np.median(band) < 0.05 * np.abs(law.force).max()
+
+
+def root_like_drag(d, v, t):
+    return 3.0 * np.sign(v) * np.abs(v) ** 1.5
+
+
+def hertz(d, v, t):
+    return 300.0 * np.sign(d) * np.abs(d) ** 1.5
+
+
+@pytest.mark.parametrize(
+    ("law", "name", "key", "noise"),
+    [
+        (root_like_drag, "damping", "drag", 1.0),
+        (root_like_drag, "damping", "drag", 0.1),
+        (hertz, "stiffness", "cubic", 1.0),
+    ],
+)
+def test_the_linear_part_beside_a_law_that_bends_sharply_at_rest_is_within_its_deviation(law, name, key, noise):
+    """Neither law has a curvature at rest: the spline leaves its slope there to the linear part."""
+    fit, held_out, *_ = experiment(law, n_samples=500, noise=noise * NOISE)
+    few = {one: CATALOGUE[one] for one in CATALOGUE if one in {f"quadratic_{key}", f"smooth_{name}"}}
+    found = diagnose(nominal(), fit, held_out, catalogue=few)
+    assert [one.effect for one in found.findings] == [f"smooth_{name}"], found.warnings
+    (linear,) = [one for one in found.calibrated if one.name == f"{name} of element_0"]
+    truth = {"damping": 0.6, "stiffness": 100.0}[name]
+    assert abs(linear.value - truth) < 3.0 * linear.std < 1.5 * linear.value
+    (words,) = [one for one in found.warnings if "known better together" in one]
+    assert words.startswith(f"the {name} of element_0 and the smooth law beside it")
+
+
+def test_the_linear_part_beside_a_smooth_law_keeps_its_deviation(outside, curve):
+    (linear,) = [one for one in curve.calibrated if one.name == "stiffness of element_0"]
+    assert abs(linear.value - 100.0) < 3.0 * linear.std
+    assert linear.std < 0.01 * 100.0
+    assert not any("known better together" in one for one in curve.warnings)
 
 
 def test_the_curve_simulates_and_is_decided_alike(outside, curve):
