@@ -58,13 +58,14 @@ from modal.preparation.quick_model import left_alone_and_together
 from modal.preparation.rest import RELEASED, released
 from modal.preparation.steps import Preparation, prepare
 from modal.verdict.constancy import unsteady_drive, with_changes
+from modal.verdict.envelope import told_of_steady_lines
 from modal.verdict.excitation import between_lines, beyond_inputs, by_chance, driven_gain, ringing, standing_out
 from modal.verdict.filled import filled_words, told_where_measured
-from modal.verdict.judgement import judge
+from modal.verdict.judgement import Answer, judge
 from modal.verdict.linearity import Powers, powers_of_motion
 from modal.verdict.probability import FILTER_EDGE
 from modal.verdict.repeatability import repeat
-from modal.verdict.ring_down import RingDownAnswer, told_of_ring_down
+from modal.verdict.ring_down import told_of_ring_down
 from okid.arrays import BoolArray, FloatArray, listener, one_blas_thread, whole_number
 from okid.errors import IdentificationError, InvalidDataError
 from okid.excitation import check_excitation
@@ -420,25 +421,24 @@ def _identified(
     fitted = final.refined is not None or final.noise is not None
     modes = told_where_measured(modes, prepared, left, preparation.measured, is_driven=is_driven, is_fitted=fitted)
     left_seen = [np.where(there, one, np.nan) for one, there in zip(left, preparation.measured, strict=True)]
-    ringing_down = RingDownAnswer(modes=modes)
+    asked_of_kind = told_of_steady_lines(modes, prepared) if kind.kind == "ambient" else Answer(modes=modes)
     if kind.kind in ("transient", "decay"):  # a sample that was filled by a linear model tells nothing of another
         seen = [np.where(there, one.outputs, np.nan) for one, there in zip(prepared, preparation.measured, strict=True)]
-        ringing_down = told_of_ring_down(
+        asked_of_kind = told_of_ring_down(
             modes,
             [replace(one, outputs=y) for one, y in zip(prepared, seen, strict=True)],
             left,
             output_scale=reruns.output_scale,
             is_decay=kind.kind == "decay",
         )
-    modes = ringing_down.modes
+    modes = asked_of_kind.modes
     modes, uncertainty, varying = with_changes(
         modes, uncertainty, asked if is_driven else (), left_there, output_scale=reruns.output_scale
     )
     powers = powers_of_motion(runs.records, runs.predicted) if final.feedback == "none" else Powers()
     tell("checking residuals", 0.9)
-    fitted_to = runs.records
-    if final.refined is not None and final.noise is None and white is None:
-        fitted_to = final.refined.as_fitted(prepared)
+    refined = final.refined if final.noise is None and white is None else None
+    fitted_to = runs.records if refined is None else refined.as_fitted(prepared)
     residuals, innovations = check_residuals(observer, prepared), _innovations(model, fitted_to)
     result = Identification(
         records=tuple(
@@ -463,7 +463,7 @@ def _identified(
         choices=(
             kind.choice,
             *((RELEASED,) if kind.kind == "decay" else ()),
-            *ringing_down.choices,
+            *asked_of_kind.choices,
             *preparation.choices,
             *explain_scoring(prepared, _folds(kind)),
             *(() if white is None else explain_filter(white.filter, white.share)),
@@ -478,7 +478,7 @@ def _identified(
             *kind.warnings,
             *preparation.warnings,
             *filled_words(preparation, of_measured=fitted and final.noise is None, is_driven=is_driven),
-            *ringing_down.warnings,
+            *asked_of_kind.warnings,
             *unsteady,
             *varying,
             *warnings_in_words(
