@@ -85,10 +85,10 @@ def feedback_p_value(records: Sequence[Record]) -> float:
     for j in range(q):
         own = m + j + q * np.arange(OTHER_PAST)
         weights, _, rank, _ = np.linalg.lstsq(left[np.ix_(own, own)], left[own, :m], rcond=1e-12)
-        if rank == OTHER_PAST:
+        if rank:  # of a loop that gives back one sample, all but the last of the outputs stand in the inputs' own past
             explained = (((left[own, :m] * weights).sum(axis=0) / power - denoised) / (1.0 - denoised)).max()
             ratio = -np.log(np.clip(1.0 - explained, np.finfo(float).tiny, 1.0))
-            least = min(least, float(scipy.special.chdtrc(OTHER_PAST, (n_rows - (OTHER_PAST + 2) / 2) * ratio)))
+            least = min(least, float(scipy.special.chdtrc(rank, (n_rows - (rank + 2) / 2) * ratio)))
     return min(1.0, m * q * least)
 
 

@@ -98,15 +98,16 @@ def test_only_modes_that_feedback_moves_far_are_doubted(identification):
 
 
 def loop(seed, reference, *, n_samples=6000):
-    """A mode at 8 Hz under noise, fed back a sample later, and moved by a reference of this size."""
+    """A mode at 8 Hz under noise, fed back a sample later as it is seen, and moved by a reference of this size."""
     rng = np.random.default_rng(seed)
     pole = np.exp((-0.01 + 1j) * 2 * np.pi * 8.0 * 0.01)
     a, force = (-2 * pole.real, abs(pole) ** 2), 0.1 * rng.standard_normal(n_samples)
-    r, u, y = reference * rng.standard_normal(n_samples), np.zeros(n_samples), np.zeros(n_samples)
+    r, seen = reference * rng.standard_normal(n_samples), 0.3 * rng.standard_normal(n_samples)
+    u, y = np.zeros(n_samples), np.zeros(n_samples)
     for k in range(2, n_samples):
-        u[k] = r[k] - 0.003 * y[k - 1]
+        u[k] = r[k] - 0.003 * (y[k - 1] + seen[k - 1])
         y[k] = -a[0] * y[k - 1] - a[1] * y[k - 2] + u[k - 1] + force[k]
-    return Record(u, y, 0.01)
+    return Record(u, y + seen, 0.01)
 
 
 def chance(record):
