@@ -37,8 +37,9 @@ from okid.arrays import TINY, ComplexArray, FloatArray
 from okid.record import Record
 from okid.scaling import channel_scaling
 
-FALSE_ALARMS = 0.01
-"""Speak of a steady line where so few records without one would look as much like it, all questions together."""
+FALSE_ALARMS = 1e-4
+"""Speak of a steady line where so few records without one would look as much like it, all questions together: a mode is
+lost by each."""
 RANGE = (0.05, 0.95)
 """Take the frequencies between these quantiles of the power for those that a line wanders over."""
 OVERSAMPLED = 4
