@@ -27,6 +27,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
+from modal.estimation.free_run import filled
 from modal.estimation.prediction_error import ROWS_A_NUMBER
 from okid.arrays import FloatArray
 from okid.frequency_response import averaged_spectra
@@ -52,6 +53,8 @@ EMPTY, LEAST_EMPTY = 1e-3, 0.05
 its sensor's noise fills it; no controller of the tests' 15 loops leaves so little."""
 LONGEST_MADE = 0.999
 """Let what errors make of the inputs live on by this a sample at most, a thousand samples."""
+ROUNDING = float(np.sqrt(np.finfo(float).eps))
+"""Take for rounding what so small a share of the size of an input is left of it."""
 FORETOLD = 0.01
 """Ask nothing of inputs of which their own past leaves less than this share of the power, a tenth of their size."""
 
@@ -82,10 +85,10 @@ def feedback_p_value(records: Sequence[Record]) -> float:
     for j in range(q):
         own = m + j + q * np.arange(OTHER_PAST)
         weights, _, rank, _ = np.linalg.lstsq(left[np.ix_(own, own)], left[own, :m], rcond=1e-12)
-        if rank == OTHER_PAST:
+        if rank:  # of a loop that gives back one sample, all but the last of the outputs stand in the inputs' own past
             explained = (((left[own, :m] * weights).sum(axis=0) / power - denoised) / (1.0 - denoised)).max()
             ratio = -np.log(np.clip(1.0 - explained, np.finfo(float).tiny, 1.0))
-            least = min(least, float(scipy.special.chdtrc(OTHER_PAST, (n_rows - (OTHER_PAST + 2) / 2) * ratio)))
+            least = min(least, float(scipy.special.chdtrc(rank, (n_rows - (rank + 2) / 2) * ratio)))
     return min(1.0, m * q * least)
 
 
@@ -118,6 +121,55 @@ def inputs_made_by(errors: Sequence[FloatArray], records: Sequence[Record]) -> l
             forcing[i + 1 :] += scaled[: -i - 1] @ later[i * q : (i + 1) * q]
         made.append(solve_recursion(own, forcing[..., np.newaxis])[..., 0] * told.scaling.input_scale)
     return made
+
+
+def from_outside(records: Sequence[Record]) -> tuple[Record, ...]:
+    """The records with what moves the inputs from outside a loop in the place of the inputs: what feeds back leaves it.
+
+        v(k) = u(k) - sum of a_i u(k - i) - sum of f_i y(k - i),   i from 1,
+
+    by least squares. Whatever feeds the outputs back a sample later or more, v knows nothing of the noise in them, so
+    outputs that follow v do so through the system alone. (A loop that answers within the sample cannot be told from a
+    system that does.) Where a reference moves the inputs it is in v; without one v is rounding, which is
+    zero here, or the noise of the inputs' own sensors, which no output follows.
+
+    Args:
+        records: as measured, with inputs.
+
+    Returns:
+        The records, shorter by the lags; as they came where they are too few for the sums.
+
+    Example:
+        >>> rng = np.random.default_rng(1)
+        >>> r, e, u, y = *rng.standard_normal((2, 4000)), np.zeros(4000), np.zeros(4000)
+        >>> for k in range(1, 4000):
+        ...     y[k] = 0.5 * y[k - 1] + u[k - 1] + e[k]
+        ...     u[k] = r[k] - 0.3 * y[k - 1]
+        >>> (free,) = from_outside([Record(u, y, 0.1)])
+        >>> bool(np.corrcoef(free.inputs[:, 0], r[-len(free.inputs) :])[0, 1] > 0.9)
+        True
+    """
+    told = _Told.of(records)
+    if told is None:
+        return tuple(records)
+    m, q, scaling = told.n_inputs, told.n_outputs, told.scaling
+    n_rows = sum(record.n_samples for record in records)
+    own = max(1, min(told.own, n_rows // (ROWS_A_NUMBER * (m + q))))
+    gram = lag_gram(records, own, scaling=scaling)
+    known = np.r_[0, 1 + m + q : len(gram.matrix)]
+    weights = np.linalg.lstsq(gram.matrix[np.ix_(known, known)], gram.matrix[known, 1 : 1 + m], rcond=1e-12)[0]
+    free = []
+    for record in filled(records):
+        inputs = (np.nan_to_num(record.inputs) - scaling.input_mean) / scaling.input_scale
+        both = np.hstack([inputs, (record.outputs - scaling.output_mean) / scaling.output_scale])
+        n = len(both) - own
+        made = np.tile(weights[0], (n, 1))
+        for i in range(1, own + 1):
+            made += both[own - i : own - i + n] @ weights[1 + (i - 1) * (m + q) : 1 + i * (m + q)]
+        left = inputs[own:] - made
+        there = np.sqrt(np.square(left).mean(axis=0)) > ROUNDING
+        free.append(replace(record.samples(own), inputs=np.where(there, left, 0.0)))
+    return tuple(free)
 
 
 def _radius(own: FloatArray) -> float:

@@ -14,10 +14,11 @@ import numpy as np
 from era.kalman import check_innovations
 from era.realisation import Realisation
 from modal.estimation.cross_validation import WITHIN, Folds, Trial
-from modal.estimation.feedback import FALSE_ALARMS, feedback_p_value
+from modal.estimation.feedback import FALSE_ALARMS, feedback_p_value, from_outside
 from modal.estimation.fits import measure_fit, model_runs
 from modal.identification.covariance import told_at_rest
 from modal.identification.final_model import FinalModel, fit_all_rows, lack_outputs, with_deviations
+from modal.identification.loops import with_feedback
 from modal.identification.more_modes import with_undriven
 from modal.identification.order_search import Search, choose_orders, given_orders
 from modal.identification.refined_search import MOST_STEPS, refined_search
@@ -35,12 +36,10 @@ from modal.identification.words import (
     order_evidence,
     records_apart,
     warnings_in_words,
-    with_feedback,
 )
 from modal.modes.extraction import extract_modes
-from modal.modes.mode import ModalModel
-from modal.preparation.amplitude import distortion_power
-from modal.preparation.band import chance_of_following, missed_share
+from modal.preparation.amplitude import distortion_at_modes
+from modal.preparation.band import chance_at_modes, missed_share
 from modal.preparation.delay import (
     LONGEST_SHARE,
     acting_at_once,
@@ -58,13 +57,14 @@ from modal.preparation.quick_model import left_alone_and_together
 from modal.preparation.rest import RELEASED, released
 from modal.preparation.steps import Preparation, prepare
 from modal.verdict.constancy import unsteady_drive, with_changes
+from modal.verdict.envelope import told_of_steady_lines
 from modal.verdict.excitation import between_lines, beyond_inputs, by_chance, driven_gain, ringing, standing_out
 from modal.verdict.filled import filled_words, told_where_measured
-from modal.verdict.judgement import judge
+from modal.verdict.judgement import Answer, judge
 from modal.verdict.linearity import Powers, powers_of_motion
 from modal.verdict.probability import FILTER_EDGE
 from modal.verdict.repeatability import repeat
-from modal.verdict.ring_down import RingDownAnswer, told_of_ring_down
+from modal.verdict.ring_down import told_of_ring_down
 from okid.arrays import BoolArray, FloatArray, listener, one_blas_thread, whole_number
 from okid.errors import IdentificationError, InvalidDataError
 from okid.excitation import check_excitation
@@ -301,7 +301,15 @@ def _with_delays(
             tell=tell,
         )
         return _identified(
-            several, kind_found, preparation, taken, final=final, wanted=found.chosen, white=white, tell=tell
+            several,
+            kind_found,
+            preparation,
+            taken,
+            final=final,
+            wanted=found.chosen,
+            white=white,
+            free=from_outside(acting) if suspected else (),
+            tell=tell,
         )
 
 
@@ -327,13 +335,6 @@ def _in_white(
     return (None, final) if again is None else again
 
 
-def _clipped(records: Sequence[Record], modes: ModalModel, output_names: Sequence[str], *, steady: bool) -> FloatArray:
-    """(n_modes, n_outputs) share of the power in the modes' bands that clipping makes; samples as they were mended."""
-    several = [record.select(outputs=output_names) for record in records]
-    half_widths = [max(0.0, mode.damping_ratio) * mode.frequency for mode in modes.modes]
-    return distortion_power(several, [mode.frequency for mode in modes.modes], half_widths, steady=steady)
-
-
 def _identified(
     records: Sequence[Record],
     kind: KindFound,
@@ -343,6 +344,7 @@ def _identified(
     final: FinalModel,
     wanted: Trial,
     white: White | None = None,
+    free: Sequence[Record] = (),
     tell: Callable[[str, float], None],
 ) -> Identification:
     """The modes of the final model judged, and all of it said in words.
@@ -382,6 +384,8 @@ def _identified(
     left_there = left if white is None else model_runs(replace(model, K=None), asked).left
     lines = between_lines(unjudged, asked, left_there, output_scale=reruns.output_scale)
     missed = missed_share(prepared, left)
+    # with the lines that were taken off: of one that wanders a little, the rest alone is not steady
+    as_mended = [record.select(outputs=prepared[0].output_names) for record in preparation.mended]
     unsteady = unsteady_drive(prepared, left) if kind.kind == "ambient" else ()
     modes = judge(
         unjudged,
@@ -401,43 +405,34 @@ def _identified(
         duration=max(record.duration - n * record.dt for record, n in zip(prepared, n_rest, strict=True)),
         excitation=excitation if by_inputs else None,
         # averages in which nothing acts tell nothing of what follows
-        chance=chance_of_following(
-            prepared,
-            [mode.frequency for mode in unjudged.modes],
-            [0.5 * mode.damping_ratio * mode.frequency for mode in unjudged.modes],
-        )
-        if is_driven
-        else None,
+        chance=chance_at_modes(unjudged, prepared) if is_driven else None,
         ringing=ringing(unjudged, prepared, left) if kind.kind in ("transient", "decay") else None,
         rings_down=kind.kind == "decay",
-        clipped=_clipped(preparation.mended, unjudged, prepared[0].output_names, steady=not unsteady)
-        if kind.kind == "ambient"
-        else None,
+        clipped=distortion_at_modes(unjudged, as_mended, steady=not unsteady) if kind.kind == "ambient" else None,
         height=standing_out(unjudged, prepared) if kind.kind == "ambient" else None,
         ahead=late_and_early(preparation.input_delay)[1],
     )
     fitted = final.refined is not None or final.noise is not None
     modes = told_where_measured(modes, prepared, left, preparation.measured, is_driven=is_driven, is_fitted=fitted)
     left_seen = [np.where(there, one, np.nan) for one, there in zip(left, preparation.measured, strict=True)]
-    ringing_down = RingDownAnswer(modes=modes)
+    asked_of_kind = told_of_steady_lines(modes, as_mended) if kind.kind == "ambient" else Answer(modes=modes)
     if kind.kind in ("transient", "decay"):  # a sample that was filled by a linear model tells nothing of another
         seen = [np.where(there, one.outputs, np.nan) for one, there in zip(prepared, preparation.measured, strict=True)]
-        ringing_down = told_of_ring_down(
+        asked_of_kind = told_of_ring_down(
             modes,
             [replace(one, outputs=y) for one, y in zip(prepared, seen, strict=True)],
             left,
             output_scale=reruns.output_scale,
             is_decay=kind.kind == "decay",
         )
-    modes = ringing_down.modes
+    modes = asked_of_kind.modes
     modes, uncertainty, varying = with_changes(
         modes, uncertainty, asked if is_driven else (), left_there, output_scale=reruns.output_scale
     )
     powers = powers_of_motion(runs.records, runs.predicted) if final.feedback == "none" else Powers()
     tell("checking residuals", 0.9)
-    fitted_to = runs.records
-    if final.refined is not None and final.noise is None and white is None:
-        fitted_to = final.refined.as_fitted(prepared)
+    refined = final.refined if final.noise is None and white is None else None
+    fitted_to = runs.records if refined is None else refined.as_fitted(prepared)
     residuals, innovations = check_residuals(observer, prepared), _innovations(model, fitted_to)
     result = Identification(
         records=tuple(
@@ -462,7 +457,7 @@ def _identified(
         choices=(
             kind.choice,
             *((RELEASED,) if kind.kind == "decay" else ()),
-            *ringing_down.choices,
+            *asked_of_kind.choices,
             *preparation.choices,
             *explain_scoring(prepared, _folds(kind)),
             *(() if white is None else explain_filter(white.filter, white.share)),
@@ -477,7 +472,7 @@ def _identified(
             *kind.warnings,
             *preparation.warnings,
             *filled_words(preparation, of_measured=fitted and final.noise is None, is_driven=is_driven),
-            *ringing_down.warnings,
+            *asked_of_kind.warnings,
             *unsteady,
             *varying,
             *warnings_in_words(
@@ -504,7 +499,8 @@ def _identified(
     tell("done", 1.0)
     if final.feedback == "none":
         return result
-    return with_feedback(result, None if final.noise is not None and final.feedback == "biasing" else moved)
+    of_noise = final.noise is not None and final.feedback == "biasing"
+    return with_feedback(result, None if of_noise else moved, free)
 
 
 def _with_real_modes(result: Identification, again: Callable[[list[int]], Identification]) -> Identification:

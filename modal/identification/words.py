@@ -10,7 +10,7 @@ they cannot disagree.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -26,7 +26,7 @@ from modal.identification.result import Identification, OrderEvidence
 from modal.modes.modal_mass import DERIVATIVES
 from modal.modes.mode import Choice, Fit, ModalModel, Mode
 from modal.verdict.excitation import BetweenLines
-from modal.verdict.judgement import DOUBTED, Reruns
+from modal.verdict.judgement import Reruns
 from modal.verdict.linearity import Powers
 from modal.verdict.probability import MOST_MISSED
 from modal.verdict.stabilisation import stabilisation
@@ -55,8 +55,6 @@ LEAST_EXCITED = 0.5
 MUCH_LEFT, TIMES_BETTER = 0.05, 4.0
 """Say that records do not belong together where a model of all leaves more than a twentieth of the motion and models of
 each by itself a quarter of that: with four rows an unknown such a model follows noise by a quarter of its power."""
-WHY_TOLD = "something feeds them back, or the inputs move between their samples as only the outputs show"
-MOVED = "the inputs follow the outputs as in a loop, which may move it by several of its deviations"
 NOISE_UNKNOWN = "Noise not understood"
 WHITE_NOISE = "white on the outputs"
 FOLDS_APART = 0.25
@@ -390,43 +388,6 @@ def records_apart(alone: float, together: float) -> tuple[str, ...]:
         "structure changed between the records, identify them apart."
     )
     return (said,)
-
-
-def with_feedback(result: Identification, moved: FloatArray | None) -> Identification:
-    """The result with what feedback does to it: a mode that it may move far is not certain, harmless feedback a remark.
-
-    Args:
-        result: of records with feedback.
-        moved: (n_modes,) how many of its deviations feedback moves each mode by; None for a model with its noise.
-    """
-    found = "the past of the outputs tells more about the inputs than their own does"
-    if moved is None:
-        said = f"{found.capitalize()}: {WHY_TOLD}; the model has its noise, which allows for that."
-        return replace(result, warnings=(*result.warnings, said))
-    wider = np.hypot(1.0, moved)
-    own = [(mode, by) for mode, by in zip(result.modes, wider.tolist(), strict=True) if mode.verdict == "system"]
-    far = ", ".join(hertz(mode.frequency) for mode, by in own if by > NO_INTERVAL)
-    most = max((by for mode, by in own if by <= NO_INTERVAL and not np.isnan(mode.frequency_std)), default=1.0)
-    if not far and most <= NOT_UNDERSTOOD:
-        why = f"{found}, but that makes no interval of a mode of the system more than {most:.2g} times wider"
-        return replace(result, choices=(*result.choices, Choice(what="feedback", value="harmless", reason=why)))
-    said = f"{found.capitalize()}: {WHY_TOLD}, and no model of the noise leaves white errors."
-    if most > NOT_UNDERSTOOD:
-        said += f" The intervals have the bias by that in them, which makes them up to {most:.1f} times wider."
-    said += f" It may move what is found at {far} Hz by several deviations, so that is doubtful." if far else ""
-    modes = tuple(
-        replace(
-            mode,
-            verdict="doubtful",
-            probability=min(mode.probability, DOUBTED),
-            doubts=(("data", MOVED),),
-            reason=f"{MOVED}; {mode.reason}",
-        )
-        if mode.verdict == "system" and by > NO_INTERVAL
-        else mode
-        for mode, by in zip(result.modes, wider.tolist(), strict=True)
-    )
-    return replace(result, modes=replace(result.modes, modes=modes), warnings=(*result.warnings, said))
 
 
 def _wants_a_longer_observer(found: Search) -> bool:

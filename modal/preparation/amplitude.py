@@ -24,6 +24,7 @@ from typing import Literal
 import numpy as np
 from numpy.polynomial.hermite_e import hermevander
 
+from modal.modes.mode import ModalModel
 from modal.preparation.channel import (
     MOST_ROWS,
     MOST_SPANS,
@@ -124,6 +125,12 @@ def clipped_samples(channel: Channel) -> tuple[BoolArray, ...]:
         (above & (part >= channel.largest - near)) | (below & (part <= channel.smallest + near))
         for part in channel.parts
     )
+
+
+def distortion_at_modes(model: ModalModel, records: Sequence[Record], *, steady: bool) -> FloatArray:
+    """(n_modes, n_outputs) of `distortion_power` in the half-power band of each mode."""
+    half_widths = [max(0.0, mode.damping_ratio) * mode.frequency for mode in model.modes]
+    return distortion_power(records, [mode.frequency for mode in model.modes], half_widths, steady=steady)
 
 
 def distortion_power(

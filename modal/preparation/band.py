@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
+from modal.modes.mode import ModalModel
 from modal.preparation.kind import acting_rows, find_kind
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
 from okid.record import Record
@@ -220,6 +221,12 @@ def chance_of_following(
             *found, of_a_pole = n_outputs * scipy.special.gammaincc(shape, shape * ratios)
             chances[i] = min(1.0, *found) if of_a_pole < FOLLOWS else 0.0
     return chances
+
+
+def chance_at_modes(model: ModalModel, records: Sequence[Record]) -> FloatArray:
+    """(n_modes,) of `chance_of_following` within half the half-power bandwidth of each mode."""
+    half_widths = [0.5 * mode.damping_ratio * mode.frequency for mode in model.modes]
+    return chance_of_following(records, [mode.frequency for mode in model.modes], half_widths)
 
 
 def share_that_follows(

@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 from modal.estimation.responses.force_dips import NARROW
 from modal.modes.extraction import NOT_JUDGED, remarks
-from modal.modes.mode import ModalModel, Mode, Verdict
+from modal.modes.mode import Choice, ModalModel, Mode, Verdict
 from modal.modes.shape_comparison import (
     Pulses,
     Repeatability,
@@ -200,6 +200,15 @@ class Reruns:
     n_steps: int
     output_scale: FloatArray
     input_scale: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Answer:
+    """Modes as they stand after a question that only records of one kind allow, and what to say."""
+
+    modes: ModalModel
+    warnings: tuple[str, ...] = ()
+    choices: tuple[Choice, ...] = ()
 
 
 def judge(

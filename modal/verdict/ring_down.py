@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal.modes.mode import Choice, ModalModel, Mode
-from modal.verdict.judgement import FOUND_AGAIN, doubted
+from modal.verdict.judgement import FOUND_AGAIN, Answer, doubted
 from modal.verdict.oscillator import (
     CLOSELY,
     FEWEST,
@@ -154,15 +154,6 @@ class Contest:
     frequency: float
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class RingDownAnswer:
-    """Modes as they stand after the question whether they ring down as modes do, and what to say."""
-
-    modes: ModalModel
-    warnings: tuple[str, ...] = ()
-    choices: tuple[Choice, ...] = ()
-
-
 def told_of_ring_down(
     modes: ModalModel,
     records: Sequence[Record],
@@ -170,7 +161,7 @@ def told_of_ring_down(
     *,
     output_scale: FloatArray,
     is_decay: bool,
-) -> RingDownAnswer:
+) -> Answer:
     """Whether what rings down rings as modes do, and which of the modes that leaves certain.
 
     Args:
@@ -184,19 +175,19 @@ def told_of_ring_down(
     rest = is_decay and bool(modes.system) and carried(modes, n_steps=n_steps, output_scale=output_scale) < CARRIED
     contest = contest_of(records, left, modes.modes, whole=rest)
     if contest is None:
-        return RingDownAnswer(modes=modes)
+        return Answer(modes=modes)
     bent = contest.bent
     if bent is not None:
-        return RingDownAnswer(modes=_doubted(modes, bent.doubt), warnings=(bent.sentence,), choices=(bent.choice,))
+        return Answer(modes=_doubted(modes, bent.doubt), warnings=(bent.sentence,), choices=(bent.choice,))
     if contest.crowd:
         what = f"what rings at {hertz(contest.frequency)} Hz"
         why = f"fewer modes explain {what} as closely as the {contest.crowd} poles that were found there"
         told = _doubted(modes, why, line=contest.frequency)
-        return RingDownAnswer(modes=told, warnings=(f"{why[0].upper()}{why[1:]}, so none of these is certain.",))
+        return Answer(modes=told, warnings=(f"{why[0].upper()}{why[1:]}, so none of these is certain.",))
     if not rest or contest.few:
-        return RingDownAnswer(modes=modes)
+        return Answer(modes=modes)
     said = REST[0].upper() + REST[1:]
-    return RingDownAnswer(
+    return Answer(
         modes=_doubted(modes, REST),
         warnings=(f"{said}: it may be no sum of modes, and none of them is certain.",),
         choices=(_no_modes(REST),),

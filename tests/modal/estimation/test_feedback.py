@@ -8,12 +8,13 @@ import scipy
 from noise_families import noise_record
 
 from era.realisation import Realisation
-from modal.estimation.feedback import FALSE_ALARMS, feedback_p_value
+from modal.estimation.feedback import FALSE_ALARMS, feedback_p_value, from_outside
 from modal.identification.covariance import feedback_bias, output_error_uncertainty
+from modal.identification.loops import with_feedback
 from modal.identification.pipeline import identify
 from modal.identification.refined_search import MOST_STEPS, refined_model
-from modal.identification.words import with_feedback
 from modal.modes.extraction import extract_modes
+from modal.preparation.band import FOLLOWS, chance_of_following
 from okid.record import Record
 
 
@@ -94,6 +95,59 @@ def test_only_modes_that_feedback_moves_far_are_doubted(identification):
     assert "as in a loop" in result.modes.modes[system[0]].reason
     assert [what for what, _ in result.modes.modes[system[0]].doubts] == ["data"]
     assert "2.2 times wider" in result.warnings[-1]
+
+
+def loop(seed, reference, *, n_samples=6000):
+    """A mode at 8 Hz under noise, fed back a sample later as it is seen, and moved by a reference of this size."""
+    rng = np.random.default_rng(seed)
+    pole = np.exp((-0.01 + 1j) * 2 * np.pi * 8.0 * 0.01)
+    a, force = (-2 * pole.real, abs(pole) ** 2), 0.1 * rng.standard_normal(n_samples)
+    r, seen = reference * rng.standard_normal(n_samples), 0.3 * rng.standard_normal(n_samples)
+    u, y = np.zeros(n_samples), np.zeros(n_samples)
+    for k in range(2, n_samples):
+        u[k] = r[k] - 0.003 * (y[k - 1] + seen[k - 1])
+        y[k] = -a[0] * y[k - 1] - a[1] * y[k - 2] + u[k - 1] + force[k]
+    return Record(u, y + seen, 0.01)
+
+
+def chance(record):
+    return float(chance_of_following(from_outside([record]), [8.0], [0.04])[0])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_moves_the_inputs_from_outside_is_told_from_what_feeds_back(seed):
+    assert chance(loop(seed, 0.1)) < 1e-6  # as strong as the noise
+    for reference in (0.0, 1e-3):  # nothing, and what the noise drowns
+        record = loop(seed, reference)
+        assert feedback_p_value([record]) < FALSE_ALARMS
+        assert chance_of_following([record], [8.0], [0.04])[0] < 1e-6  # the outputs follow the inputs all the same
+        assert chance(record) > FOLLOWS
+
+
+def test_a_smooth_force_comes_from_outside():
+    """Outputs tell of what it does between its samples, and their present all of it; but their past does not."""
+    rng = np.random.default_rng(3)
+    fine = scipy.signal.sosfilt(scipy.signal.butter(8, 0.08, output="sos"), rng.standard_normal(80_000))
+    pole = np.exp((-0.01 + 1j) * 2 * np.pi * 8.0 * 1e-3)
+    y = scipy.signal.lfilter([1, -2, 1], [1, -2 * pole.real, abs(pole) ** 2], fine)[::10]
+    assert chance(Record(fine[::10], y + 1e-3 * y.std() * rng.standard_normal(8000), 0.01)) < 1e-6
+
+
+def test_only_modes_that_something_else_moves_are_allowed_for(identification):
+    """The sentence said of every loop that the model of the noise allows for it."""
+    free = identification.records
+    rng = np.random.default_rng(0)
+    nothing = [replace(record, inputs=rng.standard_normal(record.inputs.shape)) for record in identification.records]
+    system = {i for i, mode in enumerate(identification.modes) if mode.verdict == "system"}
+    allowed = with_feedback(identification, None, free)
+    assert allowed.modes is identification.modes
+    assert "allows for that as long as" in allowed.warnings[-1]
+    for moved in (None, np.zeros(len(identification.modes))):
+        alone = with_feedback(identification, moved, nothing)
+        assert not any("allows" in words for words in alone.warnings)
+        assert "may belong to the closed loop" in alone.warnings[-1]
+        assert all(alone.modes.modes[i].verdict == "doubtful" for i in system)
+        assert all("mode of the loop" in alone.modes.modes[i].reason for i in system)
 
 
 @pytest.mark.parametrize("kind", ["white", "coloured", "wind", "hidden"])

@@ -1,0 +1,237 @@
+"""Does a mode's motion come and go as that of a resonance under random forces does? A machine's is steady.
+
+What random forces shake is nearly Gaussian, so that the Fourier coefficients X_k of the motion have phases that know
+nothing of each other. The square of its envelope, |a(t)|^2 with a = sum of X_k exp(2 pi i k t / T) over a band, then
+varies as much as the spectrum P_k = |X_k|^2 of that very band lets it, whatever peaks stand there:
+
+    x = sum over d > 0 of |R_d|^2 / (sum of P)^2,   R_d = sum over k of X_(k+d) X_k*,
+
+half of the variance of |a|^2 over its squared mean, is a sum of exponential variables of means Q_d = sum over k of
+P_(k+d) P_k / (sum of P)^2, and chance leaves it below x less often than Chernoff's bound,
+
+    least over t >= 0 of exp(t x) / product over d of (1 + t Q_d).
+
+A machine whose speed wanders makes a line as wide as a resonance, the phases of which are those of one sinusoid with a
+wandering argument: its envelope is steady. Where the band holds few coefficients, there is nothing that the bound could
+refuse. It asks to one side: gusts make an envelope vary more, and speak for no machine.
+
+References:
+    Theiler, Eubank, Longtin, Galdrikian, Farmer, Physica D 58, 1992, 77-94, doi 10.1016/0167-2789(92)90102-S (a record
+    with random phases in place of its own); Chernoff, Annals of Mathematical Statistics 23(4), 1952, 493-507, doi
+    10.1214/aoms/1177729330.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import brentq
+
+from modal.estimation.free_run import filled
+from modal.modes.mode import ModalModel, Mode
+from modal.modes.shape_comparison import assurance
+from modal.verdict.judgement import LARGEST_BAND, SAME_SHAPE, Answer, doubted
+from modal.verdict.probability import RESOLVED
+from modal.wording.text import hertz, listed, percent
+from okid.arrays import TINY, ComplexArray, FloatArray
+from okid.record import Record
+from okid.scaling import channel_scaling
+
+FALSE_ALARMS = 1e-4
+"""Speak of a steady line where so few records without one would look as much like it, all questions together: a mode is
+lost by each."""
+RANGE = (0.05, 0.95)
+"""Take the frequencies between these quantiles of the power for those that a line wanders over."""
+OVERSAMPLED = 4
+"""Take so many samples of the envelope's square per period of its fastest part."""
+COVERED = 0.5
+"""Call a pole that of the line where this share of its half-power band lies within the line's frequencies."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SteadyLine:
+    """A line whose frequency wanders and whose size does not.
+
+    Attributes:
+        low: least frequency of its range [Hz].
+        high: greatest one.
+        variation: standard deviation of the square of its envelope over the mean; of a resonance it is about one.
+        modes: indices of the modes that stand on it.
+    """
+
+    low: float
+    high: float
+    variation: float
+    modes: tuple[int, ...]
+
+
+def told_of_steady_lines(model: ModalModel, records: Sequence[Record]) -> Answer:
+    """The same, modes doubtful that are lines of a steady size, and a sentence where there are any.
+
+    Args:
+        model: judged, of records without inputs.
+        records: that it was identified from.
+    """
+    lines = [line for line in steady_lines(model, records) if line.modes]
+    if not lines:
+        return Answer(modes=model)
+    modes = list(model.modes)
+    for line in lines:
+        where = f"{hertz(line.low)} to {hertz(line.high)} Hz"
+        why = (
+            f"a machine line: its frequency wanders over {where}, but the square of its size varies by "
+            f"{percent(line.variation)} only, where that of a resonance under random forces varies by 100 %"
+        )
+        for i in line.modes:
+            modes[i] = doubted(modes[i], why)
+    where = listed([f"{hertz(line.low)} to {hertz(line.high)} Hz" for line in lines])
+    one = len(lines) == 1
+    said = (
+        f"{'A line wanders' if one else 'Lines wander'} over {where} and {'keeps its' if one else 'keep their'} size: "
+        "a machine whose speed is not quite constant, or a motion that excites itself, and no resonance under random "
+        "forces; what was found there is doubtful."
+    )
+    return Answer(modes=replace(model, modes=tuple(modes)), warnings=(said,))
+
+
+def steady_lines(model: ModalModel, records: Sequence[Record]) -> tuple[SteadyLine, ...]:
+    """The lines of a steady size at or near modes of the system.
+
+    Each mode is asked in bands from its half-power bandwidth on either side to `LARGEST_BAND` of its frequency, twice
+    as wide each time: a line wanders further than the one pole that stands on it. The steadiest is taken, and the rest
+    asked again without its frequencies: a mode that has a line beside it, or within, is none.
+
+    Args:
+        model: judged.
+        records: that it was identified from.
+    """
+    modes = model.modes
+    asked = [i for i, mode in enumerate(modes) if mode.verdict == "system" and mode.kind == "oscillatory"]
+    longest = max(record.duration for record in records)
+    bands = [(i, half) for i in asked for half in _half_widths(modes[i], longest)]
+    if not bands:
+        return ()
+    motion = _Motion.of(filled(records))
+    answers = [_envelope(modes[i], half, motion) for i, half in bands]
+    left, lines = set(range(len(bands))), []
+    while told := [k for k in left if answers[k].chance < FALSE_ALARMS / len(bands)]:
+        best = min(told, key=lambda k: answers[k].variation)
+        low, high = answers[best].low, answers[best].high
+        on_it = _standing_on(modes, asked, motion, low, high)
+        lines.append(SteadyLine(low=low, high=high, variation=answers[best].variation, modes=on_it))
+        motion = motion.without(low, high)
+        left = {k for k in left if k != best and bands[k][0] not in on_it}
+        for k in left:
+            i, half = bands[k]
+            if modes[i].frequency - half <= high and low <= modes[i].frequency + half:
+                answers[k] = _envelope(modes[i], half, motion)
+    return tuple(lines)
+
+
+def _half_widths(mode: Mode, longest: float) -> Iterator[float]:
+    half = 2.0 * max(mode.damping_ratio * mode.frequency, RESOLVED / longest)
+    yield half
+    while (half := 2.0 * half) <= LARGEST_BAND * mode.frequency:
+        yield half
+
+
+def _standing_on(
+    modes: Sequence[Mode], asked: Sequence[int], motion: "_Motion", low: float, high: float
+) -> tuple[int, ...]:
+    """Which modes a line over these frequencies [Hz] is: within it, the nearest to its shape, and all that have it."""
+    covered = [i for i in asked if _share_within(modes[i], low, high) >= COVERED]
+    if not covered:
+        return ()
+    there = np.concatenate([values[(f >= low) & (f <= high)] for f, values in motion.spectra])
+    shape = np.linalg.svd(there, full_matrices=False)[2][:1].T
+    alike = assurance(shape, np.column_stack([modes[i].shape / motion.scale for i in covered]))[0]
+    return tuple(i for i, own in zip(covered, alike.tolist(), strict=True) if own >= min(SAME_SHAPE, alike.max()))
+
+
+def _share_within(mode: Mode, low: float, high: float) -> float:
+    """Of the half-power band of a mode."""
+    half = mode.damping_ratio * mode.frequency
+    inside = min(high, mode.frequency + half) - max(low, mode.frequency - half)
+    return inside / (2.0 * half)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Motion:
+    """Spectra of records without a window, which would be an envelope of its own.
+
+    Attributes:
+        spectra: (n_lines,) [Hz] and (n_lines, n_outputs) of each record, in units of the scale.
+        scale: (n_outputs,) sizes of the outputs.
+    """
+
+    spectra: tuple[tuple[FloatArray, ComplexArray], ...]
+    scale: FloatArray
+
+    @classmethod
+    def of(cls, records: Sequence[Record]) -> "_Motion":
+        scale = np.maximum(channel_scaling(records).output_scale, TINY)
+        spectra = []
+        for record in records:
+            lines = np.asarray(np.fft.rfftfreq(record.n_samples, record.dt), dtype=np.float64)
+            centred = (record.outputs - record.outputs.mean(axis=0)) / scale
+            spectra.append((lines[1:], np.fft.rfft(centred, axis=0)[1:]))
+        return cls(spectra=tuple(spectra), scale=scale)
+
+    def without(self, low: float, high: float) -> "_Motion":
+        """Nothing left between these frequencies [Hz]."""
+        outside = [((lines < low) | (lines > high))[:, np.newaxis] for lines, _ in self.spectra]
+        kept = tuple((lines, values * there) for (lines, values), there in zip(self.spectra, outside, strict=True))
+        return replace(self, spectra=kept)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Envelope:
+    """Chance of so steady a size, its variation, and the range of frequencies [Hz]."""
+
+    chance: float
+    variation: float
+    low: float = np.nan
+    high: float = np.nan
+
+
+def _envelope(mode: Mode, half: float, motion: _Motion) -> _Envelope:
+    """Of what is heard of a mode so far on either side of it [Hz], in all records together."""
+    heard = []
+    for lines, values in motion.spectra:
+        first, last = np.searchsorted(lines, [mode.frequency - half, mode.frequency + half])
+        heard.append((lines[first:last], values[first:last] @ (mode.shape / motion.scale).conj()))
+    total = sum(float(np.square(np.abs(part)).sum()) for _, part in heard)
+    seen, means, turns, weights = 0.0, [np.empty(0)], [np.empty(0)], [np.empty(0)]
+    for lines, part in heard:
+        n = part.size
+        if n < 2 or not total > 0.0:
+            continue
+        size = 1 << (OVERSAMPLED * n - 1).bit_length()
+        signal = np.fft.ifft(part, size)
+        seen += float(np.square(np.abs(np.fft.fft(np.square(np.abs(signal)))[1:n])).sum()) * (size / total) ** 2
+        power = np.fft.fft(np.square(np.abs(part)), size)
+        means.append(np.maximum(np.fft.ifft(np.square(np.abs(power))).real[1:n], 0.0) / total**2)
+        turn = np.angle(signal[1:] * signal[:-1].conj()) / (2.0 * np.pi) % 1.0
+        turns.append(lines[0] + turn * size * (lines[1] - lines[0]))
+        weights.append(np.square(np.abs(signal[1:])))
+    turn, weight = np.concatenate(turns), np.concatenate(weights)
+    if not turn.size:
+        return _Envelope(chance=1.0, variation=np.inf)
+    rising = np.argsort(turn)
+    share = np.cumsum(weight[rising])
+    low, high = turn[rising][np.searchsorted(share, np.array(RANGE) * share[-1])].tolist()
+    chance = _chance_below(seen, np.concatenate(means))
+    return _Envelope(chance=chance, variation=float(np.sqrt(2.0 * seen)), low=low, high=high)
+
+
+def _chance_below(x: float, means: FloatArray) -> float:
+    """Chernoff's bound of how often a sum of exponential variables of these means is below x."""
+    if x >= means.sum():
+        return 1.0
+
+    def slope(t: float) -> float:
+        return x - float((means / (1.0 + t * means)).sum())
+
+    most = means.size / max(x, TINY)  # there each term is below 1 / t
+    t = brentq(slope, 0.0, most)
+    return float(np.exp(t * x - np.log1p(t * means).sum()))

@@ -1,0 +1,102 @@
+"""A line whose frequency wanders has a steady size, a resonance under random forces has not."""
+
+import numpy as np
+import pytest
+import scipy.signal
+
+from modal.identification.pipeline import identify
+from modal.modes.mode import ModalModel, Mode
+from modal.verdict.envelope import steady_lines, told_of_steady_lines
+from okid.record import Record
+
+DT = 0.01
+
+
+def answer(rng, frequency, damping, n_samples):
+    """A resonance of unit size under white noise."""
+    pole = np.exp((-damping + 1j) * 2.0 * np.pi * frequency * DT)
+    moved = scipy.signal.lfilter([1.0], [1.0, -2.0 * pole.real, abs(pole) ** 2], rng.standard_normal(n_samples + 4000))
+    return moved[4000:] / moved[4000:].std()
+
+
+def wandering(rng, frequency, share, n_samples, *, swing=0.0):
+    """A sinusoid of unit size whose frequency wanders by this share of it within seconds, its size by `swing`."""
+    slow = scipy.signal.filtfilt(*scipy.signal.butter(2, 0.005), rng.standard_normal(n_samples + 4000))[2000:-2000]
+    phase = 2.0 * np.pi * DT * np.cumsum(frequency * (1.0 + share * slow / slow.std()))
+    size = 1.0 + swing * np.sqrt(2.0) * np.sin(0.9 * DT * np.arange(n_samples))
+    return np.sqrt(2.0) * size * np.cos(phase)
+
+
+def system(*modes):
+    """A model of modes of the system: frequency, damping ratio, shape."""
+    made = [
+        Mode(
+            pole=2.0 * np.pi * f * (-z + 1j * np.sqrt(1.0 - z * z)), kind="oscillatory", frequency=f, damping_ratio=z,
+            shape=np.array(shape), participation=np.empty(0), verdict="system", probability=0.99, reason="found again",
+        )
+        for f, z, shape in modes
+    ]  # fmt: skip
+    return ModalModel(modes=tuple(made), dt=DT, indicator_caution=0.1)
+
+
+@pytest.mark.parametrize("share", [0.003, 0.01])
+@pytest.mark.parametrize("swing", [0.0, 0.2])
+def test_a_line_that_wanders_is_none_of_the_modes_beside_it(share, swing):
+    rng = np.random.default_rng(1)
+    outputs = np.outer(answer(rng, 11.0, 0.01, 12_000), [1.0, 0.5]) + 0.1 * rng.standard_normal((12_000, 2))
+    outputs += np.outer(wandering(rng, 25.0, share, 12_000, swing=swing), [0.4, -1.0])
+    # the one pole that stands on it is narrower than where it wanders
+    model = system((11.0, 0.01, [1.0, 0.5]), (25.02, 0.0008, [0.4, -1.0]))
+    told = told_of_steady_lines(model, [Record([], outputs, DT)])
+    assert [mode.verdict for mode in told.modes] == ["system", "doubtful"]
+    assert "a machine line" in told.modes.modes[1].reason
+    assert told.modes.modes[1].probability < 0.8
+    assert len(told.warnings) == 1
+    assert "11" not in told.warnings[0]
+
+
+def test_a_mode_with_such_a_line_within_stays():
+    rng = np.random.default_rng(2)
+    outputs = np.outer(answer(rng, 11.0, 0.01, 12_000), [1.0, 0.5]) + 0.1 * rng.standard_normal((12_000, 2))
+    outputs += np.outer(wandering(rng, 11.05, 0.001, 12_000), [0.4, -1.0])
+    model = system((11.0, 0.01, [1.0, 0.5]), (11.05, 0.0008, [0.4, -1.0]))
+    (line,) = steady_lines(model, [Record([], outputs, DT)])
+    assert line.modes == (1,)
+    assert 10.9 < line.low < line.high < 11.2
+
+
+def test_modes_under_random_forces_are_not_steady():
+    """Light, close, of few independent values, in gusts, and in two records: at most one record in a hundred."""
+    alarms = 0
+    for seed in range(60):
+        rng = np.random.default_rng([3, seed])
+        parts = [
+            answer(rng, f, z, 6000) for f, z in ((4.0, 0.0005), (9.0, 0.003), (9.1, 0.003), (21.0, 0.01), (33.0, 0.02))
+        ]
+        outputs = np.column_stack(parts) @ rng.standard_normal((5, 3)) + 0.1 * rng.standard_normal((6000, 3))
+        if seed % 3 == 0:
+            outputs *= np.exp(0.5 * np.sin(0.3 * DT * np.arange(6000)))[:, np.newaxis]
+        shapes = rng.standard_normal((5, 3))
+        frequencies, damping = (4.0, 9.0, 9.1, 21.0, 33.0), (0.0005, 0.003, 0.003, 0.01, 0.02)
+        model = system(*zip(frequencies, damping, shapes, strict=True))
+        record = Record([], outputs, DT)
+        alarms += bool(steady_lines(model, [record] if seed % 2 else [record.samples(2500), record]))
+    assert alarms <= 2  # of 60 with a chance of 0.01, five times in a thousand more
+
+
+def test_a_record_of_few_independent_values_cannot_tell():
+    rng = np.random.default_rng(4)
+    model = system((5.0, 0.001, [1.0]))
+    outputs = wandering(rng, 5.0, 0.001, 1500)[:, np.newaxis] + 0.5 * answer(rng, 5.0, 0.001, 1500)[:, np.newaxis]
+    assert steady_lines(model, [Record([], outputs, DT)]) == ()
+
+
+def test_a_machine_whose_speed_wanders_is_no_mode_of_the_system():
+    """It was one, with probability 0.99."""
+    rng = np.random.default_rng(5)
+    outputs = np.outer(answer(rng, 11.0, 0.01, 8000), [1.0, 0.5]) + 0.1 * rng.standard_normal((8000, 2))
+    outputs += np.outer(wandering(rng, 25.0, 0.003, 8000), [0.4, -1.0])
+    result = identify(Record([], outputs, DT))
+    assert [round(mode.frequency) for mode in result.modes.system] == [11]
+    assert any("keeps its size" in words for words in result.warnings)
+    assert not any(abs(mode.frequency - 25.0) < 1.0 and mode.probability > 0.6 for mode in result.modes)
