@@ -18,8 +18,8 @@ from modal.estimation.feedback import FALSE_ALARMS, feedback_p_value, from_outsi
 from modal.estimation.fits import measure_fit, model_runs
 from modal.identification.covariance import told_at_rest
 from modal.identification.final_model import FinalModel, fit_all_rows, lack_outputs, with_deviations
-from modal.identification.loops import with_feedback
 from modal.identification.more_modes import with_undriven
+from modal.identification.noise_model import with_feedback
 from modal.identification.order_search import Search, choose_orders, given_orders
 from modal.identification.refined_search import MOST_STEPS, refined_search
 from modal.identification.response_road import identify_response

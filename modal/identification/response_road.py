@@ -54,7 +54,7 @@ from modal.estimation.responses.order import (
 from modal.identification.order_search import COARSE_MODEL_ORDERS
 from modal.identification.result import Identification, OrderEvidence
 from modal.modes.extraction import extract_modes
-from modal.modes.modal_mass import DERIVATIVES
+from modal.modes.modal_mass import DERIVATIVES, FORCES
 from modal.modes.mode import Choice, Fit, ModalModel
 from modal.preparation.faults import forward_response, living_response
 from modal.verdict.judgement import Rerun, Reruns, blurred, doubted, judge, scattered, told_by_dips
@@ -62,16 +62,9 @@ from modal.verdict.stabilisation import stabilisation
 from modal.wording.text import LEAST_FIT, counted, hertz
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray, listener, one_blas_thread, whole_number
 from okid.errors import InsufficientDataError
-from okid.frequency_response import (
-    FrequencyResponse,
-    ResponseWindow,
-    pulse_response,
-    with_missing_lines,
-)
+from okid.frequency_response import FrequencyResponse, ResponseWindow, pulse_response, with_missing_lines
 from okid.markov import MarkovParameters
 
-FORCES = frozenset({"N", "N m"})
-"""Take an output in one of these for a force."""
 LARGEST_ORDER = 64
 """Try model orders up to this one, as for records."""
 LONGEST = 2048

@@ -29,6 +29,8 @@ from okid.record import InputHold, Record
 
 DERIVATIVES = {"m": 0, "rad": 0, "m/s": 1, "rad/s": 1, "m/s^2": 2, "rad/s^2": 2}
 """Divide the residue of a channel in this unit so many times by the pole to get that of a displacement."""
+FORCES = frozenset({"N", "N m"})
+"""Take a channel in one of these for a force."""
 
 HEARD = 0.2
 """Listen to a mode at an input only where its mass there is known to this: its phase is then one of ten at random."""

@@ -10,7 +10,7 @@ from noise_families import noise_record
 from era.realisation import Realisation
 from modal.estimation.feedback import FALSE_ALARMS, feedback_p_value, from_outside
 from modal.identification.covariance import feedback_bias, output_error_uncertainty
-from modal.identification.loops import with_feedback
+from modal.identification.noise_model import with_feedback
 from modal.identification.pipeline import identify
 from modal.identification.refined_search import MOST_STEPS, refined_model
 from modal.modes.extraction import extract_modes
