@@ -133,12 +133,7 @@ class FileDescription:
     @property
     def remarks(self) -> tuple[str, ...]:
         """One sentence for each way in which units were converted or kept; channels treated alike share one."""
-        groups: dict[tuple[str, str, str, float, float], list[UnitConversion]] = {}
-        for conversion in self.channels:
-            if conversion.changed or conversion.note:
-                key = (conversion.written, conversion.unit, conversion.note, conversion.factor, conversion.offset)
-                groups.setdefault(key, []).append(conversion)
-        remarks = [_shared(group) for group in groups.values()]
+        remarks = remarks_on([each for each in self.channels if each.changed or each.note])
         return (*remarks, *(f"{left.name} left out: {left.reason}" for left in self.left_out))
 
     def __str__(self) -> str:
@@ -175,6 +170,15 @@ def describe_table(table: Table, *, dt: float | None = None) -> FileDescription:
         outputs=table.outputs,
         left_out=table.left_out,
     )
+
+
+def remarks_on(conversions: Sequence[UnitConversion]) -> list[str]:
+    """One sentence for the channels that were treated alike."""
+    groups: dict[tuple[str, str, str, float, float], list[UnitConversion]] = {}
+    for conversion in conversions:
+        key = (conversion.written, conversion.unit, conversion.note, conversion.factor, conversion.offset)
+        groups.setdefault(key, []).append(conversion)
+    return [_shared(group) for group in groups.values()]
 
 
 def _shared(group: list[UnitConversion]) -> str:

@@ -300,3 +300,11 @@ def test_a_unit_behind_a_name_is_warned_of(tmp_path):
     (tmp_path / "a.csv").write_text("time [s],speed_rpm\n" + "".join(f"{k / 100:.2f},{k % 7}\n" for k in range(60)))
     with pytest.warns(IdentificationWarning, match="speed_rpm: no unit .*ends in 'rpm'"):
         read_record(tmp_path / "a.csv")
+
+
+def test_a_unit_in_brackets_that_is_not_read_is_warned_of_once(tmp_path):
+    rows = "".join(f"{k / 100:.2f},{k % 7},{k % 5},{k % 3}\n" for k in range(60))
+    (tmp_path / "a.csv").write_text("time [s],tip [MM/S2],root [MM/S2],level [counts]\n" + rows)
+    with pytest.warns(IdentificationWarning, match=r"^tip, root: 'MM/S2' is not a unit") as said:
+        assert read_record(tmp_path / "a.csv").output_units == ("MM/S2", "MM/S2", "counts")
+    assert len(said) == 1
