@@ -52,6 +52,7 @@ READERS: Mapping[str, Callable[[Path], Table]] = {
 }
 """One function a file type."""
 
+A_FURTHER_TIME = "it gives the time of the record once more"
 OTHERS = "okid.readers"
 """Group of entry points under which other packages offer readers, each named by its ending without the dot."""
 
@@ -160,6 +161,7 @@ def describe_table(table: Table, *, dt: float | None = None) -> FileDescription:
         InvalidDataError: its time column is no uniform grid, and no time step is given.
     """
     step = stated_step(table)[0] if dt is None else dt
+    times = [table.names[index] for index in table.further_times()]
     return FileDescription(
         path=table.path,
         format=table.format,
@@ -168,7 +170,7 @@ def describe_table(table: Table, *, dt: float | None = None) -> FileDescription:
         channels=tuple(conversion_of(table, index) for index in table.channels()),
         inputs=table.inputs,
         outputs=table.outputs,
-        left_out=table.left_out,
+        left_out=(*table.left_out, *(LeftOut(name=name, reason=A_FURTHER_TIME) for name in times)),
     )
 
 

@@ -12,10 +12,13 @@ import functools
 import math
 import re
 import unicodedata
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from okid.arrays import ROUNDED
+import numpy as np
+
+from okid.arrays import ROUNDED, FloatArray
 from okid.errors import UnreadableFileError
 from okid.readers.guard import first_line
 
@@ -304,6 +307,17 @@ def convert_unit(channel: str, written: str) -> UnitConversion:
 def _is_no_mass(channel: str, unit: str) -> bool:
     """True for a mass under a name that speaks of a force and of no mass."""
     return unit == "kg" and _FORCE_WORDS.search(channel) is not None and _WEIGHT_WORDS.search(channel) is None
+
+
+def in_si(values: FloatArray, conversions: Sequence[UnitConversion]) -> FloatArray:
+    """The values in SI; the array itself where nothing has to be converted, so that a mapped file stays mapped."""
+    if not any(conversion.changed for conversion in conversions):
+        return values
+    with np.errstate(all="ignore"):  # what is not finite is refused by name
+        converted = np.multiply(values, [conversion.factor for conversion in conversions])
+        converted += [conversion.offset for conversion in conversions]
+    converted.flags.writeable = False  # fresh and held by nobody else: the record need not copy it
+    return converted
 
 
 def _meaning(channel: str, text: str) -> tuple[str, str]:

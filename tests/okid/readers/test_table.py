@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from okid.errors import IdentificationWarning, InsufficientDataError, InvalidDataError, UnreadableFileError
-from okid.readers import read_record
+from okid.readers import describe_file, read_record
 
 N_SAMPLES = 200
 TIME = 0.01 * np.arange(N_SAMPLES)
@@ -121,6 +121,7 @@ def test_a_time_column_in_another_unit(file_with_time):
             "t",
             "Time",
             "TIME [s]",
+            "TIME [S]",
             "Zeit",
             "Zeit [s]",
             "Zeit in s",
@@ -137,6 +138,22 @@ def test_a_time_column_in_another_unit(file_with_time):
 def test_time_columns_of_loggers(file_with_time, header):
     header = f'"{header}"' if "," in header else header
     assert read_record(file_with_time(TIME, header)).dt == pytest.approx(0.01, rel=1e-12)
+
+
+@pytest.mark.parametrize("further", ["Time [ms]", "Zeit [ms]", "Timestamp", "Elapsed [h]", "millis"])
+def test_a_further_time_is_no_channel(tmp_path, further):
+    """It would be an output that no structure makes, or an input that drives it."""
+    rows = "".join(f"{each:.2f},{1000 * each:.0f},{k % 7}\n" for k, each in enumerate(TIME))
+    (tmp_path / "a.csv").write_text(f"Time [s],{further},y\n{rows}")
+    assert read_record(tmp_path / "a.csv").output_names == ("y",)
+    name = further.partition(" [")[0] if not further.startswith("Time [") else further
+    said = describe_file(tmp_path / "a.csv").remarks
+    assert f"{name} left out: it gives the time of the record once more" in said
+    with pytest.raises(InvalidDataError, match="is a time axis, not a channel"):
+        read_record(tmp_path / "a.csv", inputs=name)
+    rows = "".join(f"{each:.2f},{k * k % 7},{k % 7}\n" for k, each in enumerate(TIME))
+    (tmp_path / "a.csv").write_text(f"Time [s],delay [ms],y\n{rows}")
+    assert read_record(tmp_path / "a.csv").output_names == ("delay", "y")
 
 
 @pytest.mark.parametrize("header", ["time_ms", "Time (ms)", "Zeit [ms]", "t_ms", "Zeit in ms", "Temps ms"])
@@ -329,7 +346,7 @@ def test_choice(path, inputs, outputs, expected):
         ("Tip", None, r"did you mean 'tip'\?"),
         ("xyz", None, r"no channel 'xyz' in run\.csv; its channels are shaker"),
         (None, ["tip", "nothing"], r"no channel 'nothing'"),
-        ("time", None, r"'time' of run\.csv is the time axis"),
+        ("time", None, r"'time' of run\.csv is a time axis"),
         (None, "sample", r"'sample' of run\.csv is a counter"),
         ("tip", ["tip", "root"], r"'tip' cannot be both input and output"),
         (["tip", "tip"], None, r"'tip' is named more than once"),
