@@ -98,10 +98,11 @@ _OTHERWISE = re.compile(
     r"[+-]?(?:\d{1,3}(?:[.,'\s]\d{3})+(?:[.,]\d*)?|\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?\s?(?:[^\W\d_]\S*|[%°]\S*)?"
 )
 """Read a cell like this as a number that is written otherwise: `1.234,5`, `0.125 N`, `0x1F`."""
-_COMMENT = re.compile(r"^\s*(?:#|%|!|//|\*)+\s*")
-_TIME_UNITS = frozenset(["s", "sec", "ms", "us", "µs", "μs", "min", "h"])
-_TIME_HEADER = re.compile(r"\s*(?:time|t|timestamp|elapsed time)\b", re.IGNORECASE)
 _UNITS_WORD = re.compile(r"units?|einheit(?:en)?|unités?|unidad(?:es)?", re.IGNORECASE)
+_UNITS_ARE = rf"(?:{_UNITS_WORD.pattern})\s*[:=]\s*"
+_COMMENT = re.compile(rf"^\s*(?:(?:#|%|!|//|\*)+\s*(?:{_UNITS_ARE})?|{_UNITS_ARE})", re.IGNORECASE)
+_TIME_UNITS = frozenset(["s", "sec", "second", "seconds", "ms", "msec", "us", "µs", "μs", "min", "h"])
+_TIME_HEADER = re.compile(r"\s*(?:time|t|timestamp|elapsed time|zeit|temps|tiempo|tempo)\b", re.IGNORECASE)
 _HEADER_WORD = re.compile(r"[^\s\[(]+(?:\s*[\[(][^\])]*[\])])?")
 
 
@@ -200,28 +201,45 @@ def _headers(
     rows = [names, *(_names_in(line, n_columns, dialect) for _, line in above[-2:-4:-1])]
     if rows[1:] and rows[1] and _is_header(rows[1], dialect) and not _is_header(names, dialect):
         _refuse_text(names, rows[1], number, dialect, file_name)
-    for units, before in itertools.pairwise(rows):  # below the units a logger may name its sensors
-        if units is None or before is None or not _is_header(units, dialect):
-            break
-        if _is_units_row(before, units):
-            cells = ["" if _UNITS_WORD.fullmatch(unit) else unit.strip("[]()") for unit in units]
-            return tuple(f"{name} [{unit}]" for name, unit in zip(before, cells, strict=True))
-    return tuple(names)
+    return _with_units(rows, dialect) if _is_header(names, dialect) else tuple(names)
+
+
+def _with_units(rows: Sequence[list[str] | None], dialect: Dialect) -> tuple[str, ...]:
+    """The headers that rows of names and units make up, the lowest first: below the units sensors may be named."""
+    pairs = [(low, high) for low, high in itertools.pairwise(rows) if low and high and _is_header(low, dialect)]
+    turned = [(high, low) for low, high in pairs[:1]]
+    for units, titles in (*pairs, *turned):
+        if _is_units_row(titles, units):
+            written = ("" if _UNITS_WORD.fullmatch(unit) else f" [{unit.strip('[]() ')}]" for unit in units)
+            return tuple(
+                name if split_header(name)[1] else name + unit for name, unit in zip(titles, written, strict=True)
+            )
+    for low, high in pairs[:1]:
+        times = [_is_time(*split_header(cell)) and not sensor for cell, sensor in zip(high, low, strict=True)]
+        if any(times) and all(split_header(cell)[1] for cell in high):
+            return tuple(high)
+    return tuple(rows[0] or ())
 
 
 def _is_header(cells: Sequence[str], dialect: Dialect) -> bool:
     return not any(is_number(cell, dialect) for cell in cells)
 
 
-def _is_units_row(header: Sequence[str], below: Sequence[str]) -> bool:
-    """True if `below` are the units of `header`: a unit of time under "time", or units and nothing else."""
-    for name, unit in zip(header, below, strict=True):
-        if _TIME_HEADER.match(name) and unit.strip("[]() ") in _TIME_UNITS:
-            return True
-    units = [unit.strip("[]() ") for unit in below if unit]
+def _is_time(name: str, unit: str) -> bool:
+    return _TIME_HEADER.match(name) is not None and unit.strip("[]() ").lower() in _TIME_UNITS
+
+
+def _is_units_row(titles: Sequence[str], row: Sequence[str]) -> bool:
+    """True if `row` are the units of `titles`: a unit of time under "time", or units and nothing else."""
+    if any(map(_is_time, titles, row)):
+        return True
+    units = [unit.strip("[]() ") for unit in row if unit]
     if len(units) > 1 and _UNITS_WORD.fullmatch(units[0]):  # the row says what it holds
         units.pop(0)
-    return bool(units) and all(map(looks_like_unit, units)) and not any(map(looks_like_unit, header))
+    # a title of one letter, F or A, is no unit where one of the units is longer
+    short = any(len(unit) > 1 for unit in units) and not all(map(looks_like_unit, titles))
+    names = [title for title in titles if len(title) > short]
+    return bool(units) and all(map(looks_like_unit, units)) and not any(map(looks_like_unit, names))
 
 
 def _names_in(line: str, n_columns: int, dialect: Dialect) -> list[str] | None:
@@ -493,14 +511,11 @@ def _raise_fault(lines: Iterable[str], layout: TextLayout, names: list[str], pat
             )
         for name, cell in zip(names, cells, strict=True):
             if not is_number(cell, layout.dialect) and not is_missing(cell):
+                shown = cell if len(cell) <= 40 else cell[:37] + "..."
                 raise UnreadableFileError(
-                    f"line {number}, column {name!r} of {path.name} holds {_shown(cell)} where a number is expected; "
+                    f"line {number}, column {name!r} of {path.name} holds {shown!r} where a number is expected; "
                     "correct it, or leave the cell empty if the sample is missing." + _hint(cell, layout.dialect)
                 )
-
-
-def _shown(cell: str) -> str:
-    return repr(cell if len(cell) <= 40 else cell[:37] + "...")
 
 
 def _hint(cell: str, dialect: Dialect) -> str:

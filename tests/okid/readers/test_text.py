@@ -223,6 +223,32 @@ LOGGERS = {  # what stands above the rows of three numbers, the numbers' delimit
         ".",
         {"Untitled": "", "Untitled 1": ""},
     ),
+    **{
+        f"{titles} / {units}": (
+            f"{titles}\n{units}\n",
+            sep,
+            sign,
+            {titles.split(sep)[1]: "m/s^2", titles.split(sep)[2]: "N"},
+        )
+        for sep, sign, titles, units in (
+            *(
+                (";", ",", "Zeit;a;F", "s;g;kN"),
+                (";", ",", "Zeit;a;F", "[s];[g];[kN]"),
+                (";", ",", "Zeit;A;B", "s;g;kN"),
+            ),
+            *((";", ".", "Time;acc;force", "Seconds;g;kN"), ("\t", ".", "Temps\ta\tF", "s\tg\tN")),
+            *((",", ".", "time,acc,force", "SEC,g,N"),),
+        )
+    },
+    "units above the names": ("s,kN,g\ntime,force,a1\n", ",", ".", {"force": "N", "a1": "m/s^2"}),
+    "units above, in a remark": ("# units: s, g, kN\n# time, a, F\n", ",", ".", {"a": "m/s^2", "F": "N"}),
+    "units above, said to be": ("Einheit: s;V;N\nZeit;a;F\n", ";", ",", {"a": "V", "F": "N"}),
+    "units above and beside": ("s,kN,g\ntime [s],force [N],a1\n", ",", ".", {"force": "N", "a1": "m/s^2"}),
+    "names of sensors below names with units": (
+        *("Zeit [s];Beschl [g];Kraft [kN]\n;Sensor 1;Sensor 2\n", ";", ","),
+        {"Beschl": "m/s^2", "Kraft": "N"},
+    ),
+    "names of one letter below titles": ("Zeit;Kanal;Kanal\nt;A;F\n", ";", ",", {"A": "", "F": ""}),
     "places in arrays": ("time [s],gyro[0],gyro[1]\n", ",", ".", {"gyro[0]": "", "gyro[1]": ""}),
 }
 
