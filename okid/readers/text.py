@@ -538,7 +538,7 @@ def _decoded(data: bytes, encoding: str, path: Path) -> str:
 
 
 _DATE = rb"(?:(?P<date>\d{4}(?P<cut>[-/])\d\d(?P=cut)\d\d|\d\d?\.\d\d?\.\d{4})[T ]+)?"
-_CLOCK = rb"(?P<hour>\d\d?):(?P<minute>\d\d):(?P<second>\d\d)(?:[%s](?P<digits>\d{1,9}))?(?:Z|[+-]\d\d:?\d\d)?"
+_CLOCK = rb"(?P<hour>\d\d?):(?P<minute>\d\d):(?P<second>\d\d)(?:[%s](?P<digits>\d{1,9}))?Z?(?P<zone>[+-]\d\d:?\d\d)?"
 _POINT, _COMMA = (
     re.compile(rb'^[ \t]*"?' + _DATE + _CLOCK % sign + rb'"?(?=[ \t,;\r\n]|\Z)', re.MULTILINE) for sign in (b".", b".,")
 )
@@ -568,7 +568,9 @@ def with_seconds(data: bytes, head: bytes | None = None) -> bytes:
     sign = b"," if comma else b"."  # as the numbers beside it are written
 
     def seconds(found: re.Match[bytes]) -> bytes:
-        return b"%d%s%s" % (_whole_seconds(found) - origin, sign, found["digits"] or b"0")
+        whole = _whole_seconds(found) - origin
+        whole += 86400 if whole < 0 and not found["date"] else 0  # a clock without a date, past midnight
+        return b"%d%s%s" % (whole, sign, found["digits"] or b"0")
 
     rows = stamp.sub(seconds, data)
     if head is not None or first == 0:
@@ -584,7 +586,9 @@ def with_seconds(data: bytes, head: bytes | None = None) -> bytes:
 
 def _whole_seconds(found: re.Match[bytes]) -> int:
     day = _day(found["date"]) if found["date"] else 0
-    return 86400 * day + 3600 * int(found["hour"]) + 60 * int(found["minute"]) + int(found["second"])
+    zone = (found["zone"] or b"+0000").replace(b":", b"")
+    minutes = 60 * (int(found["hour"]) - int(zone[:3])) + int(found["minute"]) - int(zone[:1] + zone[3:])
+    return 86400 * day + 60 * minutes + int(found["second"])
 
 
 @lru_cache(maxsize=64)

@@ -192,6 +192,27 @@ def test_a_clock_past_midnight_and_one_with_a_comma(tmp_path):
     assert read_record(path).dt == 1.0  # between commas, a comma is no decimal sign
 
 
+def test_a_clock_without_a_date_past_midnight(tmp_path):
+    path = tmp_path / "night.csv"
+    path.write_text("Uhrzeit,x\n23:59:59.0,1\n23:59:59.5,2\n00:00:00.0,3\n00:00:00.5,4\n")
+    assert read_record(path).dt == 0.5
+
+
+def test_a_change_of_the_offset_to_utc_is_none_of_the_time(tmp_path):
+    """At the end of summer time a clock goes back one hour, and its offset with it."""
+    path = tmp_path / "autumn.csv"
+    path.write_text(
+        "time,x\n2026-10-25T02:59:59.0+02:00,1\n2026-10-25T02:59:59.5+02:00,2\n"
+        "2026-10-25T02:00:00.0+0100,3\n2026-10-25T02:00:00.5+01:00,4\n"
+    )
+    assert read_record(path).dt == 0.5
+    path.write_text(
+        "time,x\n" + "".join(f"2026-10-25T02:00:0{k}{'+01:00' if k < 2 else '-00:30'},1\n" for k in range(4))
+    )
+    with pytest.raises(InvalidDataError, match="not uniform"):
+        read_record(path)
+
+
 def test_a_stamp_that_is_no_date(tmp_path):
     path = tmp_path / "clock.csv"
     path.write_text("t,x\n2026-02-28 00:00:00,1\n2026-02-31 00:00:01,2\n")
