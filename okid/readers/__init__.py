@@ -59,6 +59,9 @@ def read_record(
         UnreadableFileError: no such file, an unknown type, damage, or text where a number is expected.
         InvalidDataError: no such channel, no time step, a time column off the uniform grid by more than 0.1 dt, or
             numbers that cannot be a record.
+
+    Warns:
+        IdentificationWarning: a channel may be in another unit than the record says; a matrix lies on its side.
     """
     table = read_table(path)
     record = to_record(table, Record, inputs=inputs, outputs=outputs, dt=dt, input_hold=input_hold)

@@ -6,6 +6,8 @@ it is written, and the conversion says so. Two spellings need a rule, because th
 * `g` (and `G`) is standard gravity, 9.80665 m/s^2, unless the channel's name speaks of a mass, force, thrust, weight or
   load: then it is the gram.
 * `rpm` and `deg` are angles in time: they become rad/s and rad; `Hz` stays Hz.
+
+A unit that a name writes otherwise than in brackets at its end (`acc_g_1`, `mm Weg`) is not read, but it is said.
 """
 
 import functools
@@ -213,7 +215,7 @@ _SPOKEN_OF = {
 """Take these at the end of a name for a unit only where the name speaks of what they measure."""
 _NO_PART_OF_A_UNIT = re.compile(r"[^\w/^°%·⋅∙•*.+−-]+")
 _LEVEL = re.compile(r"[\s_]+(?:rms|eff|pp|pk|peak|(?:pk|p|0)-(?:pk|p))$", re.IGNORECASE)
-_INDEX_BEHIND = re.compile(r"(?<=[^\W\d])[\s_.]+\d+$")
+_INDEX_BEHIND = re.compile(r"^(.*[^\W\d])[\s_.]+\d+$|^(.*[^\W_][\s_.]+[^\W\d]+)[\s_.]+[xyzXYZ]$")  # acc_g_1, acc_g_x
 _INNER_WORD = re.compile(r"(?<=[a-zß-ÿ]{2})(?=[A-Z])")
 _LETTERS = re.compile(r"([^\W\d_]+|°[CF]?)\d*")
 _TAILS = (
@@ -403,14 +405,20 @@ def _unread_unit(channel: str) -> str:
             f"{inside[0]!r} stands within the name; if it is the unit, write it last: the values are kept as they are"
         )
     name = _LEVEL.sub("", _NO_PART_OF_A_UNIT.sub(" ", channel).strip())
-    stem = _INDEX_BEHIND.sub("", name)
+    stem = _INDEX_BEHIND.sub(r"\1\2", name)
     tails = [found[1] for tail in _TAILS for text in (stem, name) if (found := tail.search(text))]
     written = next((text for text in tails if looks_like_unit(text) or text in PER_MINUTE), "")
     words = re.findall(r"[^\W_]+|°[CF]?", stem)
     last = [words[-1], _INNER_WORD.split(words[-1])[-1]] if words else []
     written = written or next((word for word in last if _may_be_unit(word, channel)), "")
     place = "ends in" if written else "begins with"
-    if not written and len(words) > 1 and words[0] in _WORDS_OF_UNITS and _may_be_unit(words[0], ""):
+    if (
+        not written
+        and len(words) > 1
+        and len(words[0]) > 1
+        and words[0] in _WORDS_OF_UNITS
+        and _may_be_unit(words[0], "")
+    ):
         written = words[0]
     if not written:
         return ""

@@ -218,7 +218,7 @@ NO_BRACKETS = (
     "Acc-g|ax_mg|speed RPM|Speed_rpm|acc_g|disp, mm|thrust gf|angle/deg|"
     "acc_g_1|acc_g_12|acc_g1|rpm1|force_kN_2|mm_3|Disp mil pp|v mph|torque_ozin|WegMM|ACC_G|accG|a_mps2|a_ms2|acc_mss|"
     "mm Weg|Weg:mm|acc=g|acc–g|acc 'g'|force \"kN\"|acc [m/s^2|acc (g rms)|vel (mm/s RMS)|Probe X (mil pk-pk)|"
-    "p_MPA|disp_in|temp_F|temp degC|Winkel °|a m/s² RMS|Drehzahl U/min 2|torque_Nm"
+    "p_MPA|disp_in|temp_F|temp degC|Winkel °|a m/s² RMS|Drehzahl U/min 2|torque_Nm|acc_g_x|gyro_dps_Y|pos_mm_z"
 )
 """A unit behind a name may be a part of it: the values stay as they are, and it is said."""
 
@@ -227,7 +227,8 @@ PLAIN = (
     "Sonde (droite)|tip|tip (1)|sensor_A|floor_2|node_m|top min|ch_in|"
     "a1|input|sensor_m|x_in|Probe A|motor_A|phase_a|force|position|velocity_x|node 12|left|gyro_x|temp|A1|V1|m2|s1|"
     "g1|N12|MX840_CH1|Sensor F|node_G|temp_c|motor_temp C1|left_foot|temp_min|top max|Kp|x_bar|bar_1|acc_NS|acc_EW|"
-    "ft_1|ch 1|disp_rad|second|channel N|PS1|hp_out|hammer:+X|Dev1/ai0|accX|vbat|sensor 3 F|in|out|n|T|t|h|L|Kraft|Weg"
+    "ft_1|ch 1|disp_rad|second|channel N|PS1|hp_out|hammer:+X|Dev1/ai0|accX|vbat|sensor 3 F|in|out|n|T|t|h|L|Kraft|Weg|"
+    "g_x|g level|mag_x|gyro x|c_x"
 )
 
 
