@@ -198,7 +198,7 @@ def _headers(
         return ()
     if any(is_number(cell, dialect) and not cell.isdigit() for cell in names):  # a damaged row, and no names
         _refuse_text(cells, [f"column_{index}" for index in range(n_columns)], number, dialect, file_name)
-    rows = [names, *(_names_in(line, n_columns, dialect) for _, line in above[-2:-4:-1])]
+    rows = [names, *(_names_in(line, n_columns, dialect) for _, line in above[-2::-1])]
     if rows[1:] and rows[1] and _is_header(rows[1], dialect) and not _is_header(names, dialect):
         _refuse_text(names, rows[1], number, dialect, file_name)
     return _with_units(rows, dialect) if _is_header(names, dialect) else tuple(names)
@@ -206,8 +206,8 @@ def _headers(
 
 def _with_units(rows: Sequence[list[str] | None], dialect: Dialect) -> tuple[str, ...]:
     """The headers that rows of names and units make up, the lowest first: below the units sensors may be named."""
-    pairs = [(low, high) for low, high in itertools.pairwise(rows) if low and high and _is_header(low, dialect)]
-    turned = [(high, low) for low, high in pairs[:1]]
+    pairs = [(low, high) for low, high in itertools.pairwise(rows[:3]) if low and high and _is_header(low, dialect)]
+    turned = [(row, rows[0]) for row in rows[1:] if row and rows[0] and len(row) > 1]  # above the names, or in a remark
     for units, titles in (*pairs, *turned):
         if _is_units_row(titles, units):
             written = ("" if _UNITS_WORD.fullmatch(unit) else f" [{unit.strip('[]() ')}]" for unit in units)

@@ -243,6 +243,10 @@ LOGGERS = {  # what stands above the rows of three numbers, the numbers' delimit
     "units above the names": ("s,kN,g\ntime,force,a1\n", ",", ".", {"force": "N", "a1": "m/s^2"}),
     "units above, in a remark": ("# units: s, g, kN\n# time, a, F\n", ",", ".", {"a": "m/s^2", "F": "N"}),
     "units above, said to be": ("Einheit: s;V;N\nZeit;a;F\n", ";", ",", {"a": "V", "F": "N"}),
+    "units in a remark further up": (
+        *("# units: s, g, kN\n# by a logger, on Monday\n#\ntime,a,F\n", ",", "."),
+        {"a": "m/s^2", "F": "N"},
+    ),
     "units above and beside": ("s,kN,g\ntime [s],force [N],a1\n", ",", ".", {"force": "N", "a1": "m/s^2"}),
     "names of sensors below names with units": (
         *("Zeit [s];Beschl [g];Kraft [kN]\n;Sensor 1;Sensor 2\n", ";", ","),
