@@ -11,7 +11,15 @@ from pathlib import Path
 from typing import Any
 
 from okid.errors import IdentificationWarning, InvalidDataError
-from okid.readers.dispatch import FileDescription, describe_file, describe_table, read_table, records_of_tables
+from okid.readers.arrays import TRANSPOSED
+from okid.readers.dispatch import (
+    FileDescription,
+    describe_file,
+    describe_table,
+    read_table,
+    records_of_tables,
+    remarks_on,
+)
 from okid.readers.guard import check_file
 from okid.readers.table import Table, conversion_of, to_record
 from okid.readers.units import UnitConversion
@@ -51,10 +59,13 @@ def read_record(
         UnreadableFileError: no such file, an unknown type, damage, or text where a number is expected.
         InvalidDataError: no such channel, no time step, a time column off the uniform grid by more than 0.1 dt, or
             numbers that cannot be a record.
+
+    Warns:
+        IdentificationWarning: a channel may be in another unit than the record says; a matrix lies on its side.
     """
     table = read_table(path)
     record = to_record(table, Record, inputs=inputs, outputs=outputs, dt=dt, input_hold=input_hold)
-    _warn_of_units([table], [record])
+    _warn([table], [record], outputs)
     return record
 
 
@@ -85,7 +96,7 @@ def read_records(
     """
     tables = _tables(paths)
     records = records_of_tables(tables, inputs=inputs, outputs=outputs, dt=dt, input_hold=input_hold)
-    _warn_of_units(tables, records)
+    _warn(tables, records, outputs)
     return records
 
 
@@ -103,13 +114,15 @@ def read_described(
     return records, tuple(describe_table(table, dt=dt) for table in tables)
 
 
-def _warn_of_units(tables: Sequence[Table], records: Sequence[Record]) -> None:
-    """Warn of channels whose names may hold a unit that was neither read nor kept: nothing else would show it."""
+def _warn(tables: Sequence[Table], records: Sequence[Record], outputs: Sequence[str] | str | None) -> None:
+    """Warn of channels that may be in another unit than their record says, and of matrices that lie on their side."""
     used = {name for record in records for name in (*record.input_names, *record.output_names)}
     said: dict[str, None] = {}
     for table in tables:
-        every = (conversion_of(table, index) for index in table.channels())
-        said |= {str(each): None for each in every if each.channel in used and each.note and not each.unit}
+        every = [conversion_of(table, index) for index in table.channels()]
+        said |= dict.fromkeys(remarks_on([each for each in every if each.channel in used and each.doubtful]))
+        left_out = table.left_out if outputs is None else ()  # who names the outputs misses none
+        said |= {f"{left.name} was left out: {left.reason}": None for left in left_out if TRANSPOSED in left.reason}
     for sentence in said:
         warnings.warn(f"{sentence}.", IdentificationWarning, stacklevel=3)
 

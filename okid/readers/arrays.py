@@ -41,6 +41,7 @@ Content = npt.NDArray[np.generic] | Sequence[str]
 STEP_NAMES = frozenset(["dt", "ts", "sample_time", "sampling_time", "time_step"])
 RATE_NAMES = frozenset(["fs", "sample_rate", "sampling_rate", "sampling_frequency"])
 ROLES = ("inputs", "outputs")
+TRANSPOSED = "rows are samples: save its transpose"
 DISK_SHARE = 0.5
 """Take no more than this share of the free disk for a copy: others need some."""
 
@@ -105,7 +106,7 @@ def table_from_arrays(contents: Mapping[str, Content], *, path: Path, file_forma
     roles: dict[str, tuple[str, ...]] = {}
     for name, block in series.items():
         if len(block) != n_samples:
-            hint = " (rows are samples: save its transpose)" if block.shape[1] == n_samples else ""
+            hint = f" ({TRANSPOSED})" if block.shape[1] == n_samples else ""
             reason = f"its shape is {block.shape}, but the record has {n_samples} samples{hint}"
             left_out.append(LeftOut(name=name, reason=reason))
             continue

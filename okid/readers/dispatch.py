@@ -52,6 +52,7 @@ READERS: Mapping[str, Callable[[Path], Table]] = {
 }
 """One function a file type."""
 
+A_FURTHER_TIME = "it gives the time of the record once more"
 OTHERS = "okid.readers"
 """Group of entry points under which other packages offer readers, each named by its ending without the dot."""
 
@@ -133,12 +134,7 @@ class FileDescription:
     @property
     def remarks(self) -> tuple[str, ...]:
         """One sentence for each way in which units were converted or kept; channels treated alike share one."""
-        groups: dict[tuple[str, str, str, float, float], list[UnitConversion]] = {}
-        for conversion in self.channels:
-            if conversion.changed or conversion.note:
-                key = (conversion.written, conversion.unit, conversion.note, conversion.factor, conversion.offset)
-                groups.setdefault(key, []).append(conversion)
-        remarks = [_shared(group) for group in groups.values()]
+        remarks = remarks_on([each for each in self.channels if each.changed or each.note])
         return (*remarks, *(f"{left.name} left out: {left.reason}" for left in self.left_out))
 
     def __str__(self) -> str:
@@ -165,6 +161,7 @@ def describe_table(table: Table, *, dt: float | None = None) -> FileDescription:
         InvalidDataError: its time column is no uniform grid, and no time step is given.
     """
     step = stated_step(table)[0] if dt is None else dt
+    times = [table.names[index] for index in table.further_times()]
     return FileDescription(
         path=table.path,
         format=table.format,
@@ -173,8 +170,17 @@ def describe_table(table: Table, *, dt: float | None = None) -> FileDescription:
         channels=tuple(conversion_of(table, index) for index in table.channels()),
         inputs=table.inputs,
         outputs=table.outputs,
-        left_out=table.left_out,
+        left_out=(*table.left_out, *(LeftOut(name=name, reason=A_FURTHER_TIME) for name in times)),
     )
+
+
+def remarks_on(conversions: Sequence[UnitConversion]) -> list[str]:
+    """One sentence for the channels that were treated alike."""
+    groups: dict[tuple[str, str, str, float, float], list[UnitConversion]] = {}
+    for conversion in conversions:
+        key = (conversion.written, conversion.unit, conversion.note, conversion.factor, conversion.offset)
+        groups.setdefault(key, []).append(conversion)
+    return [_shared(group) for group in groups.values()]
 
 
 def _shared(group: list[UnitConversion]) -> str:

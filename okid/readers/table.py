@@ -1,11 +1,11 @@
 """What one file holds, before its columns are told apart into inputs and outputs.
 
-The time step of a table: from its time column, from what the file states, or from the caller.
-
-From a table to a record: which columns are inputs and outputs, units converted to SI.
+The time step of a table is that of its time column, what the file states, or the caller's. From a table to a record:
+which columns are inputs and outputs.
 """
 
 import difflib
+import functools
 import re
 import warnings
 from collections import Counter
@@ -18,7 +18,7 @@ import numpy as np
 
 from okid.arrays import FloatArray, column_block, row_chunks, time_step
 from okid.errors import IdentificationWarning, InsufficientDataError, InvalidDataError
-from okid.readers.units import MAX_NAME, PARENTHESIS, UnitConversion, convert_unit
+from okid.readers.units import MAX_NAME, PARENTHESIS, UnitConversion, convert_unit, in_si
 
 TIME_NAMES = frozenset(
     [
@@ -114,6 +114,14 @@ class Table:
                 return index
         return None
 
+    def further_times(self) -> list[int]:
+        """Indices of columns that give the time once more, in another unit or rounded: they too grow by equal steps."""
+        first = self.time_column()
+        spoken = (
+            [] if first is None else [k for k, one in enumerate(self.columns) if k != first and _speaks_of_time(one)]
+        )
+        return [k for k in spoken if _is_ramp(self.values[:, k], CONTRADICTION)]
+
     def counter_column(self) -> int | None:
         """Index of a column that only counts the samples (0, 1, 2, ... or 1, 2, 3, ...), None if there is none."""
         has_headers = any(column.header for column in self.columns)
@@ -126,8 +134,8 @@ class Table:
         return None
 
     def channels(self) -> list[int]:
-        """Indices of the columns that are channels: neither the time nor a sample counter."""
-        no_channel = {self.time_column(), self.counter_column()}
+        """Indices of the columns that are channels: neither a time nor a sample counter."""
+        no_channel = {self.time_column(), self.counter_column(), *self.further_times()}
         return [index for index in range(len(self.columns)) if index not in no_channel]
 
 
@@ -143,30 +151,37 @@ def _time_name(column: Column) -> tuple[str, str]:
     if not column.unit:
         name = _plain(_INNER_CAPITAL.sub(" ", column.name))
     behind = None if column.unit or name in TIME_NAMES else TIME_SUFFIX.match(name)
-    return (behind["name"].rstrip(" ,;/"), behind["unit"]) if behind else (name, column.unit)
+    return (behind["name"].rstrip(" ,;/"), behind["unit"]) if behind else (name, column.unit.lower())  # TIME [S]
 
 
 def _speaks_of_time(column: Column) -> bool:
     if column.unit:
-        return convert_unit("time", column.unit).unit == "s"
-    return TIME_WORDS.search(column.name) is not None
+        return _counts_time(column.unit)
+    named = _time_name(column)[0] in TIME_NAMES and _may_be_time(column)
+    return named or TIME_WORDS.search(column.name) is not None
 
 
-def _is_ramp(values: FloatArray) -> bool:
-    """True for a grid that grows by equal steps, to the jitter of a clock."""
+def _is_ramp(values: FloatArray, share: float = 0.0) -> bool:
+    """True for a grid that grows by equal steps, to the jitter of a clock or a share of the span."""
     count = len(values) - 1
     span = values[-1] - values[0] if count > 0 else 0.0
     if not np.isfinite(span) or span <= 0:
         return False
     with np.errstate(all="ignore"):
-        return bool(np.abs((values - values[0]) / span * count - np.arange(count + 1)).max() <= JITTER)
+        return bool(
+            np.abs((values - values[0]) / span * count - np.arange(count + 1)).max() <= max(JITTER, share * count)
+        )
 
 
 def _may_be_time(column: Column) -> bool:
-
     if not column.unit:
         return column.name != "T"
-    return _plain(column.name) != "t" or convert_unit("time", column.unit).unit == "s"
+    return _plain(column.name) != "t" or _counts_time(column.unit.lower())
+
+
+@functools.cache
+def _counts_time(unit: str) -> bool:
+    return convert_unit("time", unit).unit == "s"
 
 
 def unique_names(names: Sequence[str], headers: Sequence[str]) -> list[str]:
@@ -482,7 +497,7 @@ def _indices(table: Table, names: Sequence[str]) -> list[int]:
 
 def _refuse(table: Table, name: str, index: int | None) -> NoReturn:
     if index is not None:
-        what = "the time axis" if index == table.time_column() else "a counter of the samples"
+        what = "a counter of the samples" if index == table.counter_column() else "a time axis"
         raise InvalidDataError(
             f"column {name!r} of {table.path.name} is {what}, not a channel; the channels are {_channels_of(table)}."
         )
@@ -528,8 +543,8 @@ def to_record(
     output_units = [conversion_of(table, index) for index in out]
     try:
         return kind(
-            _in_si(column_block(table.values, into), input_units),
-            _in_si(column_block(table.values, out), output_units),
+            in_si(column_block(table.values, into), input_units),
+            in_si(column_block(table.values, out), output_units),
             step,
             input_names=tuple(unit.channel for unit in input_units),
             output_names=tuple(unit.channel for unit in output_units),
@@ -581,14 +596,3 @@ def conversion_of(table: Table, index: int) -> UnitConversion:
         return conversion
     note = f"{inside['unit']!r} is no unit that is known; if it is the unit, the values are kept as they are"
     return replace(conversion, note=note)
-
-
-def _in_si(values: FloatArray, conversions: Sequence[UnitConversion]) -> FloatArray:
-    """The values in SI; the array itself where nothing has to be converted, so that a mapped file stays mapped."""
-    if not any(conversion.changed for conversion in conversions):
-        return values
-    with np.errstate(all="ignore"):  # what is not finite is refused by name
-        converted = np.multiply(values, [conversion.factor for conversion in conversions])
-        converted += [conversion.offset for conversion in conversions]
-    converted.flags.writeable = False  # fresh and held by nobody else: the record need not copy it
-    return converted

@@ -98,10 +98,11 @@ _OTHERWISE = re.compile(
     r"[+-]?(?:\d{1,3}(?:[.,'\s]\d{3})+(?:[.,]\d*)?|\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?\s?(?:[^\W\d_]\S*|[%°]\S*)?"
 )
 """Read a cell like this as a number that is written otherwise: `1.234,5`, `0.125 N`, `0x1F`."""
-_COMMENT = re.compile(r"^\s*(?:#|%|!|//|\*)+\s*")
-_TIME_UNITS = frozenset(["s", "sec", "ms", "us", "µs", "μs", "min", "h"])
-_TIME_HEADER = re.compile(r"\s*(?:time|t|timestamp|elapsed time)\b", re.IGNORECASE)
 _UNITS_WORD = re.compile(r"units?|einheit(?:en)?|unités?|unidad(?:es)?", re.IGNORECASE)
+_UNITS_ARE = rf"(?:{_UNITS_WORD.pattern})\s*[:=]\s*"
+_COMMENT = re.compile(rf"^\s*(?:(?:#|%|!|//|\*)+\s*(?:{_UNITS_ARE})?|{_UNITS_ARE})", re.IGNORECASE)
+_TIME_UNITS = frozenset(["s", "sec", "second", "seconds", "ms", "msec", "us", "µs", "μs", "min", "h"])
+_TIME_HEADER = re.compile(r"\s*(?:time|t|timestamp|elapsed time|zeit|temps|tiempo|tempo)\b", re.IGNORECASE)
 _HEADER_WORD = re.compile(r"[^\s\[(]+(?:\s*[\[(][^\])]*[\])])?")
 
 
@@ -197,31 +198,48 @@ def _headers(
         return ()
     if any(is_number(cell, dialect) and not cell.isdigit() for cell in names):  # a damaged row, and no names
         _refuse_text(cells, [f"column_{index}" for index in range(n_columns)], number, dialect, file_name)
-    rows = [names, *(_names_in(line, n_columns, dialect) for _, line in above[-2:-4:-1])]
+    rows = [names, *(_names_in(line, n_columns, dialect) for _, line in above[-2::-1])]
     if rows[1:] and rows[1] and _is_header(rows[1], dialect) and not _is_header(names, dialect):
         _refuse_text(names, rows[1], number, dialect, file_name)
-    for units, before in itertools.pairwise(rows):  # below the units a logger may name its sensors
-        if units is None or before is None or not _is_header(units, dialect):
-            break
-        if _is_units_row(before, units):
-            cells = ["" if _UNITS_WORD.fullmatch(unit) else unit.strip("[]()") for unit in units]
-            return tuple(f"{name} [{unit}]" for name, unit in zip(before, cells, strict=True))
-    return tuple(names)
+    return _with_units(rows, dialect) if _is_header(names, dialect) else tuple(names)
+
+
+def _with_units(rows: Sequence[list[str] | None], dialect: Dialect) -> tuple[str, ...]:
+    """The headers that rows of names and units make up, the lowest first: below the units sensors may be named."""
+    pairs = [(low, high) for low, high in itertools.pairwise(rows[:3]) if low and high and _is_header(low, dialect)]
+    turned = [(row, rows[0]) for row in rows[1:] if row and rows[0] and len(row) > 1]  # above the names, or in a remark
+    for units, titles in (*pairs, *turned):
+        if _is_units_row(titles, units):
+            written = ("" if _UNITS_WORD.fullmatch(unit) else f" [{unit.strip('[]() ')}]" for unit in units)
+            return tuple(
+                name if split_header(name)[1] else name + unit for name, unit in zip(titles, written, strict=True)
+            )
+    for low, high in pairs[:1]:
+        times = [_is_time(*split_header(cell)) and not sensor for cell, sensor in zip(high, low, strict=True)]
+        if any(times) and all(split_header(cell)[1] for cell in high):
+            return tuple(high)
+    return tuple(rows[0] or ())
 
 
 def _is_header(cells: Sequence[str], dialect: Dialect) -> bool:
     return not any(is_number(cell, dialect) for cell in cells)
 
 
-def _is_units_row(header: Sequence[str], below: Sequence[str]) -> bool:
-    """True if `below` are the units of `header`: a unit of time under "time", or units and nothing else."""
-    for name, unit in zip(header, below, strict=True):
-        if _TIME_HEADER.match(name) and unit.strip("[]() ") in _TIME_UNITS:
-            return True
-    units = [unit.strip("[]() ") for unit in below if unit]
+def _is_time(name: str, unit: str) -> bool:
+    return _TIME_HEADER.match(name) is not None and unit.strip("[]() ").lower() in _TIME_UNITS
+
+
+def _is_units_row(titles: Sequence[str], row: Sequence[str]) -> bool:
+    """True if `row` are the units of `titles`: a unit of time under "time", or units and nothing else."""
+    if any(map(_is_time, titles, row)):
+        return True
+    units = [unit.strip("[]() ") for unit in row if unit]
     if len(units) > 1 and _UNITS_WORD.fullmatch(units[0]):  # the row says what it holds
         units.pop(0)
-    return bool(units) and all(map(looks_like_unit, units)) and not any(map(looks_like_unit, header))
+    # a title of one letter, F or A, is no unit where one of the units is longer
+    short = any(len(unit) > 1 for unit in units) and not all(map(looks_like_unit, titles))
+    names = [title for title in titles if len(title) > short]
+    return bool(units) and all(map(looks_like_unit, units)) and not any(map(looks_like_unit, names))
 
 
 def _names_in(line: str, n_columns: int, dialect: Dialect) -> list[str] | None:
@@ -493,14 +511,11 @@ def _raise_fault(lines: Iterable[str], layout: TextLayout, names: list[str], pat
             )
         for name, cell in zip(names, cells, strict=True):
             if not is_number(cell, layout.dialect) and not is_missing(cell):
+                shown = cell if len(cell) <= 40 else cell[:37] + "..."
                 raise UnreadableFileError(
-                    f"line {number}, column {name!r} of {path.name} holds {_shown(cell)} where a number is expected; "
+                    f"line {number}, column {name!r} of {path.name} holds {shown!r} where a number is expected; "
                     "correct it, or leave the cell empty if the sample is missing." + _hint(cell, layout.dialect)
                 )
-
-
-def _shown(cell: str) -> str:
-    return repr(cell if len(cell) <= 40 else cell[:37] + "...")
 
 
 def _hint(cell: str, dialect: Dialect) -> str:
@@ -523,7 +538,7 @@ def _decoded(data: bytes, encoding: str, path: Path) -> str:
 
 
 _DATE = rb"(?:(?P<date>\d{4}(?P<cut>[-/])\d\d(?P=cut)\d\d|\d\d?\.\d\d?\.\d{4})[T ]+)?"
-_CLOCK = rb"(?P<hour>\d\d?):(?P<minute>\d\d):(?P<second>\d\d)(?:[%s](?P<digits>\d{1,9}))?(?:Z|[+-]\d\d:?\d\d)?"
+_CLOCK = rb"(?P<hour>\d\d?):(?P<minute>\d\d):(?P<second>\d\d)(?:[%s](?P<digits>\d{1,9}))?Z?(?P<zone>[+-]\d\d:?\d\d)?"
 _POINT, _COMMA = (
     re.compile(rb'^[ \t]*"?' + _DATE + _CLOCK % sign + rb'"?(?=[ \t,;\r\n]|\Z)', re.MULTILINE) for sign in (b".", b".,")
 )
@@ -553,7 +568,9 @@ def with_seconds(data: bytes, head: bytes | None = None) -> bytes:
     sign = b"," if comma else b"."  # as the numbers beside it are written
 
     def seconds(found: re.Match[bytes]) -> bytes:
-        return b"%d%s%s" % (_whole_seconds(found) - origin, sign, found["digits"] or b"0")
+        whole = _whole_seconds(found) - origin
+        whole += 86400 if whole < 0 and not found["date"] else 0  # a clock without a date, past midnight
+        return b"%d%s%s" % (whole, sign, found["digits"] or b"0")
 
     rows = stamp.sub(seconds, data)
     if head is not None or first == 0:
@@ -569,7 +586,9 @@ def with_seconds(data: bytes, head: bytes | None = None) -> bytes:
 
 def _whole_seconds(found: re.Match[bytes]) -> int:
     day = _day(found["date"]) if found["date"] else 0
-    return 86400 * day + 3600 * int(found["hour"]) + 60 * int(found["minute"]) + int(found["second"])
+    zone = (found["zone"] or b"+0000").replace(b":", b"")
+    minutes = 60 * (int(found["hour"]) - int(zone[:3])) + int(found["minute"]) - int(zone[:1] + zone[3:])
+    return 86400 * day + 60 * minutes + int(found["second"])
 
 
 @lru_cache(maxsize=64)

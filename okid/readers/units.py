@@ -6,16 +6,21 @@ it is written, and the conversion says so. Two spellings need a rule, because th
 * `g` (and `G`) is standard gravity, 9.80665 m/s^2, unless the channel's name speaks of a mass, force, thrust, weight or
   load: then it is the gram.
 * `rpm` and `deg` are angles in time: they become rad/s and rad; `Hz` stays Hz.
+
+A unit that a name writes otherwise than in brackets at its end (`acc_g_1`, `mm Weg`) is not read, but it is said.
 """
 
 import functools
 import math
 import re
 import unicodedata
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from okid.arrays import ROUNDED
+import numpy as np
+
+from okid.arrays import ROUNDED, FloatArray
 from okid.errors import UnreadableFileError
 from okid.readers.guard import first_line
 
@@ -49,19 +54,24 @@ SPELLINGS = {
     **dict.fromkeys(("kp", "kgf", "kg·force", "kg·f"), "force_kilogram"),
     **dict.fromkeys(("pound·force", "lb·f"), "force_pound"),
     **dict.fromkeys(("kips", "klbf"), "kip"),
+    "tf": "force_metric_ton",
     "ozf": "force_ounce",
-    **dict.fromkeys((f"{a}·{b}" for f in ("lb", "lbs", "lbf") for a, b in (("in", f), (f, "in"))), "inch*force_pound"),
-    **dict.fromkeys((f"{a}·{b}" for f in ("lb", "lbs", "lbf") for a, b in (("ft", f), (f, "ft"))), "foot*force_pound"),
-    **dict.fromkeys((f"{a}·{b}" for f in ("oz", "ozf") for a, b in (("in", f), (f, "in"))), "inch*force_ounce"),
+    **{
+        dot.join(pair): f"{length}*force_{'ounce' if word[0] == 'o' else 'pound'}"
+        for short, length in (("in", "inch"), ("ft", "foot"))
+        for word in ("lb", "lbs", "lbf", "oz", "ozf")
+        for pair in ((short, word), (word, short))
+        for dot in ("·", "")
+    },
     **dict.fromkeys(("kgf·m", "kgfm", "kp·m", "kpm"), "force_kilogram*meter"),
     **dict.fromkeys(("kgf·cm", "kgfcm"), "force_kilogram*centimeter"),
     "Ncm": "newton*centimeter",
     "mNm": "millinewton*meter",
     **dict.fromkeys(("dps", "DPS"), "degree/s"),
-    **dict.fromkeys(("°", "º", "Deg", "DEG", "Grad", "degrees"), "degree"),
+    **dict.fromkeys(("°", "º", "Deg", "DEG", "Grad", "degrees", "grados", "degrés", "gradi"), "degree"),
     **dict.fromkeys(("°C", "ºC", "deg·C", "Celsius", "Grad·C"), "degC"),
     **dict.fromkeys(("°F", "ºF", "deg·F", "Fahrenheit"), "degF"),
-    **dict.fromkeys(("ms·2", "ms-2", "ms^-2", "mps2", "m/s/s"), "m/s**2"),
+    **dict.fromkeys(("ms·2", "ms-2", "ms^-2", "mps2", "m/s/s", "ms2", "mss"), "m/s**2"),
     **dict.fromkeys(("mps", "ms-1", "ms^-1"), "m/s"),
     "fps": "foot/s",
     "fpm": "foot/min",
@@ -73,7 +83,7 @@ SPELLINGS = {
     **dict.fromkeys(("MPH",), "mile/hour"),
     "gal": "Gal",
     **dict.fromkeys(("PS", "ch"), "metric_horsepower"),
-    **dict.fromkeys(("kn", "kt", "kts", "knots"), "knot"),
+    **dict.fromkeys(("kt", "kts", "knots"), "knot"),
     "'": "foot",
     **dict.fromkeys(("newtons", "Newton", "Newtons"), "newton"),
     **dict.fromkeys(("Volt", "Volts", "volts"), "volt"),
@@ -151,16 +161,29 @@ GRAVITIES = frozenset(["g", "mg", "ug", "µg", "G"])
 PER_MINUTE = frozenset(["1/min", "min-1", "min^-1", "/min"])
 """Read these as revolutions per minute where the name speaks of a rotation."""
 
-SCALED = frozenset(
+ORDINARY = frozenset(
     [
-        *("rpm", "gf", "kgf", "lbf", "lbs", "kip", "kN", "daN", "mN", "mm", "cm", "um", "µm", "mil", "mils", "inch"),
-        *("ips", "deg", "dps", "ms", "us", "mV", "mA", "psi", "ksi", "bar", "kPa", "MPa", "degC", "kHz", "mg", "g"),
-        *("kW", "Nmm", "kNm"),
+        "min",
+        "minute",
+        "minutes",
+        "sec",
+        "second",
+        "seconds",
+        "hour",
+        "hours",
+        "ns",
+        "rad",
+        "rev",
+        "turn",
+        "foot",
+        "feet",
     ]
 )
-"""Say so where a name ends in one of these without brackets: the values are not converted."""
+"""Take these for words of a name where they stand in it without brackets, in any case of letters."""
 
 UNKNOWN = "is not a unit that converts to SI; kept as it is"
+A_MASS = "a mass, though the name speaks of a force; write kgf if it is one"
+NO_KNOT = "may be kilonewton or knots, and the name does not tell which; kept as it is"
 TWO_MEANINGS = "may be a mass, a force or an acceleration, and the name does not tell which; kept as it is"
 _FORCE_WORDS = re.compile(
     r"force|thrust|kraft|schub|pouss|effort|last\b|load|hammer|marteau|impact|shaker|empuje|fuerza", re.IGNORECASE
@@ -172,10 +195,31 @@ _MASS_WORDS = re.compile(
 )
 _ACCELERATION_WORDS = re.compile(r"acc|beschl|a[xyz_ ]|\bah\b|quake|ground", re.IGNORECASE)
 _TEMPERATURE_WORDS = re.compile(r"temp|hitze|chaleur", re.IGNORECASE)
+_SPEED_WORDS = re.compile(r"speed|veloc|vitesse|geschw|fahrt|wind|current", re.IGNORECASE)
 _ROTATION_WORDS = re.compile(
     r"speed|dreh|rpm|rotat|spin|vitesse|régime|regime|motor|shaft|omega|\bn(_|$)", re.IGNORECASE
 )
-_LAST_WORD = re.compile(r"(?:^|[\s_,;/.-])([^\W_]+)\W*$")
+_LENGTH_WORDS = re.compile(r"disp|stroke|travel|lvdt|weg\b|pos|length|hub\b|height", re.IGNORECASE)
+_PRESSURE_WORDS = re.compile(r"druck|press|presi|oil|öl|tank|hydr|\bp\d*(?![^\W_])", re.IGNORECASE)
+_ANGLE_WORDS = re.compile(r"wink|angle|angul|ángul|pos|dreh|rot", re.IGNORECASE)
+_POWER_WORDS = re.compile(r"power|leist|puiss|poten", re.IGNORECASE)
+_WORDS_OF_UNITS = frozenset([*UNITS, *SPELLINGS, *POUNDS])
+_FOLDED = frozenset(word.lower() for word in _WORDS_OF_UNITS)
+_SPOKEN_OF = {
+    **dict.fromkeys(("N", "kp"), _FORCE_WORDS),
+    **dict.fromkeys(("C", "F"), _TEMPERATURE_WORDS),
+    **dict.fromkeys(("in", "ft"), _LENGTH_WORDS),
+    **dict.fromkeys(("G", "gal"), _ACCELERATION_WORDS),
+    **dict.fromkeys(("hp", "ps", "ch"), _POWER_WORDS),
+    "bar": _PRESSURE_WORDS,
+    "grad": _ANGLE_WORDS,
+}
+"""Take these at the end of a name for a unit only where the name speaks of what they measure."""
+_NO_PART_OF_A_UNIT = re.compile(r"[^\w/^°%·⋅∙•*.+−-]+")
+_LEVEL = re.compile(r"[\s_]+(?:rms|eff|pp|pk|peak|(?:pk|p|0)-(?:pk|p))$", re.IGNORECASE)
+_INDEX_BEHIND = re.compile(r"^(.*[^\W\d])[\s_.]+\d+$|^(.*[^\W_][\s_.]+[^\W\d]+)[\s_.]+[xyzXYZ]$")  # acc_g_1, acc_g_x
+_INNER_WORD = re.compile(r"(?<=[a-zß-ÿ]{2})(?=[A-Z])")
+_LETTERS = re.compile(r"([^\W\d_]+|°[CF]?)\d*")
 _TAILS = (
     re.compile(r"\s(?:in|en)\s+(\S+(?: \S+)?)$"),
     re.compile(r"\s/\s*(\S+)$"),
@@ -185,6 +229,7 @@ _TAILS = (
 """Where a name may end in a unit without brackets: "Weg in mm", "a / m/s²", "Kraft/N", "Vibration mm/s"."""
 _INSIDE = re.compile(r"[\[({<]([^\[\](){}<>]*)[\])}>]")
 _SIGNS = str.maketrans(dict.fromkeys("⋅∙•*", "·") | {"μ": "µ", "−": "-"})
+_WIDE_BRACKETS = str.maketrans("（）［］｛｝【】〔〕＜＞", "()[]{}[][]<>")
 _DOT = re.compile(r"(?<=[A-Za-z])(?:[.-]| *· *| +)(?=[A-Za-z])")
 _WORD = re.compile(r"[^\W\d_]+|[°%\"']")
 _MAGNET_WORDS = re.compile(r"magnet|flux|field|gauss", re.IGNORECASE)
@@ -218,11 +263,18 @@ class UnitConversion:
         """True if the record's numbers are not those of the file."""
         return self.factor != 1.0 or self.offset != 0.0
 
+    @property
+    def doubtful(self) -> bool:
+        """True if the numbers may be in another unit than the record's: it was not read, or the name gainsays it."""
+        if self.note == UNKNOWN:
+            return not looks_like_unit(self.written.strip())
+        return bool(self.note) and (not self.unit or self.note in {TWO_MEANINGS, NO_KNOT, A_MASS})
+
     def __str__(self) -> str:
         if self.changed:
             shift = f" plus {self.offset:.6g}" if self.offset else ""
             words = f"{self.written} -> {self.unit}, times {self.factor:.6g}{shift}"
-        elif self.note in {UNKNOWN, TWO_MEANINGS}:
+        elif self.note in {UNKNOWN, TWO_MEANINGS, NO_KNOT}:
             return f"{self.channel}: {self.written!r} {self.note}"
         else:
             words = self.unit or "no unit in the file"
@@ -245,20 +297,38 @@ def convert_unit(channel: str, written: str) -> UnitConversion:
     text = written.strip()
     if text in SI_UNITS or text in {"", "-", "1"}:
         unit = text if text in SI_UNITS else ""
-        return UnitConversion(channel=channel, written=written, unit=unit, note="" if text else _unread_unit(channel))
+        note = _unread_unit(channel) if not text else A_MASS if _is_no_mass(channel, unit) else ""
+        return UnitConversion(channel=channel, written=written, unit=unit, note=note)
     spelt, note = _meaning(channel, text)
     linear = _linear(spelt, text) if spelt else None
     if linear is None:
         return UnitConversion(channel=channel, written=written, unit=text, note=UNKNOWN if spelt else note)
     factor, offset, unit = linear
+    note = note or (A_MASS if _is_no_mass(channel, unit) else "")
     return UnitConversion(channel=channel, written=written, unit=unit, factor=factor, offset=offset, note=note)
+
+
+def _is_no_mass(channel: str, unit: str) -> bool:
+    """True for a mass under a name that speaks of a force and of no mass."""
+    return unit == "kg" and _FORCE_WORDS.search(channel) is not None and _WEIGHT_WORDS.search(channel) is None
+
+
+def in_si(values: FloatArray, conversions: Sequence[UnitConversion]) -> FloatArray:
+    """The values in SI; the array itself where nothing has to be converted, so that a mapped file stays mapped."""
+    if not any(conversion.changed for conversion in conversions):
+        return values
+    with np.errstate(all="ignore"):  # what is not finite is refused by name
+        converted = np.multiply(values, [conversion.factor for conversion in conversions])
+        converted += [conversion.offset for conversion in conversions]
+    converted.flags.writeable = False  # fresh and held by nobody else: the record need not copy it
+    return converted
 
 
 def _meaning(channel: str, text: str) -> tuple[str, str]:
     """How the units library spells a unit, and what was decided; no spelling and the reason where it is kept."""
     plain = _plain(text)
-    if plain in POUNDS:
-        return _pounds(channel, text, plain)
+    if plain == "kn" or plain in POUNDS:
+        return _pounds_or_knots(channel, text, plain)
     if plain in PER_MINUTE and _ROTATION_WORDS.search(channel):
         return "rpm", f"{text} read as revolutions per minute, because the name speaks of a rotation"
     if plain in {"C", "F"} and _TEMPERATURE_WORDS.search(channel):
@@ -270,9 +340,13 @@ def _meaning(channel: str, text: str) -> tuple[str, str]:
     return plain, f"{text} read as a thousandth of an inch" if plain in {"mil", "mils"} else ""
 
 
-def _pounds(channel: str, text: str, plain: str) -> tuple[str, str]:
+def _pounds_or_knots(channel: str, text: str, plain: str) -> tuple[str, str]:
+    forced = _FORCE_WORDS.search(channel) is not None
+    if plain == "kn":
+        words = "kn read as kilonewton, because the name speaks of a force"
+        return ("kN", words) if forced else ("knot", "") if _SPEED_WORDS.search(channel) else ("", NO_KNOT)
     mass = POUNDS[plain].removeprefix("force_")
-    if _FORCE_WORDS.search(channel):
+    if forced:
         return POUNDS[plain], f"{text} read as {mass}-force, because the name speaks of a force"
     return (mass, "") if _WEIGHT_WORDS.search(channel) else ("", TWO_MEANINGS)
 
@@ -325,24 +399,48 @@ def unit_error(gain: float, std: float) -> str:
 
 
 def _unread_unit(channel: str) -> str:
-    """What a reader must know where a name without a unit ends in one."""
+    """What a reader must know where a name without a unit begins or ends in one.
+
+    A word of two letters and more that is a unit, in capitals or not, may be one; so may a `g` that is set off. Other
+    single letters name sensors more often, and some words have another meaning: they must fit what the name speaks of.
+    """
     inside = [text for text in _INSIDE.findall(channel) if is_unit(text)]
     if inside:
         return (
             f"{inside[0]!r} stands within the name; if it is the unit, write it last: the values are kept as they are"
         )
-    tails = [found[1] for found in (tail.search(channel.strip()) for tail in _TAILS) if found]
-    last = _LAST_WORD.search(channel)
-    scaled = last is not None and (
-        last[1] in SCALED or last[1].lower() == "rpm" or (last[1] == "N" and _FORCE_WORDS.search(channel) is not None)
-    )
-    units = [text for text in tails if looks_like_unit(text) or text in PER_MINUTE] + [
-        last[1] if last and scaled else ""
-    ]
-    written = units[0]
+    name = _LEVEL.sub("", _NO_PART_OF_A_UNIT.sub(" ", channel).strip())
+    stem = _INDEX_BEHIND.sub(r"\1\2", name)
+    tails = [found[1] for tail in _TAILS for text in (stem, name) if (found := tail.search(text))]
+    written = next((text for text in tails if looks_like_unit(text) or text in PER_MINUTE), "")
+    words = re.findall(r"[^\W_]+|°[CF]?", stem)
+    last = [words[-1], _INNER_WORD.split(words[-1])[-1]] if words else []
+    written = written or next((word for word in last if _may_be_unit(word, channel)), "")
+    place = "ends in" if written else "begins with"
+    if (
+        not written
+        and len(words) > 1
+        and len(words[0]) > 1
+        and words[0] in _WORDS_OF_UNITS
+        and _may_be_unit(words[0], "")
+    ):
+        written = words[0]
     if not written:
         return ""
-    return f"the name ends in {written!r}; if that is the unit, write it in brackets: the values are kept as they are"
+    return f"the name {place} {written!r}; if that is the unit, write it in brackets: the values are kept as they are"
+
+
+def _may_be_unit(word: str, channel: str) -> bool:
+    """True for a unit in words or letters, whatever number stands behind it, that is no ordinary word in this name."""
+    found = _LETTERS.fullmatch(word)
+    letters = found[1] if found else ""
+    folded = letters if len(letters) == 1 else letters.lower()
+    if folded in _SPOKEN_OF:
+        set_off = word == letters or len(letters) > 1 or letters == "G"  # motor_temp C1 is a place
+        return set_off and _SPOKEN_OF[folded].search(channel) is not None
+    if letters == "g":
+        return word == letters or _ACCELERATION_WORDS.search(channel) is not None
+    return (len(letters) > 1 or letters == "°") and folded not in ORDINARY and folded in _FOLDED
 
 
 def is_unit(text: str) -> bool:
@@ -374,7 +472,7 @@ _INDEX = re.compile(r"(?:\S\[\d+|\[(?:0|[2-9]|\d\d+))\]$")
 PARENTHESIS = re.compile(r"^(?P<name>.*?)\s*\((?P<unit>(?:[^()]|\([^()]*\))*)\)\s*$", re.DOTALL)
 _OTHER_UNITS = frozenset(
     [
-        *("g", "mg", "gn", "lb", "lbs", "oz", "G", "kg", "mAh", "C", "F"),
+        *("g", "mg", "gn", "lb", "lbs", "oz", "G", "kg", "mAh", "C", "F", "kn", "ton", "tons", "klb", "klbs"),
         *("counts", "count", "raw", "digits", "lsb", "LSB", "-", "%", "a.u.", "1/min", "min-1"),
         *("mG", "ue", "µe", "µε", "ustrain", "microstrain", "milli-g"),
     ]
@@ -398,11 +496,12 @@ def split_header(header: str) -> tuple[str, str]:
         (('tip', 'm/s^2'), ('Time', 's'), ('tip (left)', ''))
     """
     header = "".join(letter if letter.isprintable() else " " for letter in header).strip()
-    match = _BRACKET.match(header)
+    plain = header.translate(_WIDE_BRACKETS)
+    match = _BRACKET.match(plain)
     if match and match["name"] and not _INDEX.search(header):
         unit = match["unit"] or match["curly"] or match["angle"] or ""
         return match["name"][:MAX_NAME], unit.strip()[:MAX_NAME]
-    match = PARENTHESIS.match(header)
+    match = PARENTHESIS.match(plain)
     if match and match["name"] not in {"", "dB"} and looks_like_unit(match["unit"].strip()):
         return match["name"][:MAX_NAME], match["unit"].strip()
     return header[:MAX_NAME], ""

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from okid.errors import InvalidDataError, UnreadableFileError
+from okid.errors import IdentificationWarning, InvalidDataError, UnreadableFileError
 from okid.readers import arrays, describe_file, guard, read_record
 from okid.readers.arrays import npz_contents
 
@@ -130,8 +130,7 @@ def test_npz_with_named_channels_and_time(tmp_path):
 
 def test_npz_arrays_of_other_lengths_are_left_out_and_said(tmp_path):
     np.savez(tmp_path / "a.npz", dt=1.0, u=VALUES[:, 0], y=VALUES[:, 1], turned=VALUES.T, z=1j * VALUES[:, 0])
-    record = read_record(tmp_path / "a.npz", inputs="u")
-    assert record.output_names == ("y",)
+    assert read_record(tmp_path / "a.npz", inputs="u", outputs="y").output_names == ("y",)
     with pytest.raises(InvalidDataError, match=r"'turned' .* \(5, 50\), but the record has 50 samples .*transpose"):
         read_record(tmp_path / "a.npz", inputs="turned")
     with pytest.raises(InvalidDataError, match=r"'z' .* complex"):
@@ -280,3 +279,15 @@ def test_a_header_that_is_too_long_is_no_pickle_and_no_columns_are_no_channel(tm
     np.save(tmp_path / "b.npy", np.zeros((9, 0)))
     with pytest.raises(UnreadableFileError, match=r"b\.npy holds 9 samples of no channel"):
         read_record(tmp_path / "b.npy", dt=1.0)
+
+
+def test_a_unit_in_the_name_of_a_matrix_is_warned_of(tmp_path):
+    np.savez(tmp_path / "a.npz", acc_g=VALUES, dt=0.01)
+    with pytest.warns(IdentificationWarning, match=r"acc_g_0, acc_g_1, .* .the name ends in 'g'"):
+        assert read_record(tmp_path / "a.npz").output_units == ("",) * 5
+
+
+def test_a_matrix_that_lies_on_its_side_is_missed_aloud(tmp_path):
+    np.savez(tmp_path / "a.npz", u=VALUES[:, :1], y=VALUES.T, dt=0.01)
+    with pytest.warns(IdentificationWarning, match=r"^y was left out: its shape is \(5, 50\).*save its transpose"):
+        assert read_record(tmp_path / "a.npz").output_names == ("u",)

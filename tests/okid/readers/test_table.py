@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from okid.errors import IdentificationWarning, InsufficientDataError, InvalidDataError, UnreadableFileError
-from okid.readers import read_record
+from okid.readers import describe_file, read_record
 
 N_SAMPLES = 200
 TIME = 0.01 * np.arange(N_SAMPLES)
@@ -121,6 +121,7 @@ def test_a_time_column_in_another_unit(file_with_time):
             "t",
             "Time",
             "TIME [s]",
+            "TIME [S]",
             "Zeit",
             "Zeit [s]",
             "Zeit in s",
@@ -137,6 +138,22 @@ def test_a_time_column_in_another_unit(file_with_time):
 def test_time_columns_of_loggers(file_with_time, header):
     header = f'"{header}"' if "," in header else header
     assert read_record(file_with_time(TIME, header)).dt == pytest.approx(0.01, rel=1e-12)
+
+
+@pytest.mark.parametrize("further", ["Time [ms]", "Zeit [ms]", "Timestamp", "Elapsed [h]", "millis"])
+def test_a_further_time_is_no_channel(tmp_path, further):
+    """It would be an output that no structure makes, or an input that drives it."""
+    rows = "".join(f"{each:.2f},{1000 * each:.0f},{k % 7}\n" for k, each in enumerate(TIME))
+    (tmp_path / "a.csv").write_text(f"Time [s],{further},y\n{rows}")
+    assert read_record(tmp_path / "a.csv").output_names == ("y",)
+    name = further.partition(" [")[0] if not further.startswith("Time [") else further
+    said = describe_file(tmp_path / "a.csv").remarks
+    assert f"{name} left out: it gives the time of the record once more" in said
+    with pytest.raises(InvalidDataError, match="is a time axis, not a channel"):
+        read_record(tmp_path / "a.csv", inputs=name)
+    rows = "".join(f"{each:.2f},{k * k % 7},{k % 7}\n" for k, each in enumerate(TIME))
+    (tmp_path / "a.csv").write_text(f"Time [s],delay [ms],y\n{rows}")
+    assert read_record(tmp_path / "a.csv").output_names == ("delay", "y")
 
 
 @pytest.mark.parametrize("header", ["time_ms", "Time (ms)", "Zeit [ms]", "t_ms", "Zeit in ms", "Temps ms"])
@@ -173,6 +190,27 @@ def test_a_clock_past_midnight_and_one_with_a_comma(tmp_path):
     assert read_record(path).outputs.ravel().tolist() == [1.5, 2.5, 3.5]
     path.write_text("t,x,y\n00:00:01,5,1\n00:00:02,6,1\n00:00:03,7,1\n00:00:04,8,1\n")
     assert read_record(path).dt == 1.0  # between commas, a comma is no decimal sign
+
+
+def test_a_clock_without_a_date_past_midnight(tmp_path):
+    path = tmp_path / "night.csv"
+    path.write_text("Uhrzeit,x\n23:59:59.0,1\n23:59:59.5,2\n00:00:00.0,3\n00:00:00.5,4\n")
+    assert read_record(path).dt == 0.5
+
+
+def test_a_change_of_the_offset_to_utc_is_none_of_the_time(tmp_path):
+    """At the end of summer time a clock goes back one hour, and its offset with it."""
+    path = tmp_path / "autumn.csv"
+    path.write_text(
+        "time,x\n2026-10-25T02:59:59.0+02:00,1\n2026-10-25T02:59:59.5+02:00,2\n"
+        "2026-10-25T02:00:00.0+0100,3\n2026-10-25T02:00:00.5+01:00,4\n"
+    )
+    assert read_record(path).dt == 0.5
+    path.write_text(
+        "time,x\n" + "".join(f"2026-10-25T02:00:0{k}{'+01:00' if k < 2 else '-00:30'},1\n" for k in range(4))
+    )
+    with pytest.raises(InvalidDataError, match="not uniform"):
+        read_record(path)
 
 
 def test_a_stamp_that_is_no_date(tmp_path):
@@ -329,7 +367,7 @@ def test_choice(path, inputs, outputs, expected):
         ("Tip", None, r"did you mean 'tip'\?"),
         ("xyz", None, r"no channel 'xyz' in run\.csv; its channels are shaker"),
         (None, ["tip", "nothing"], r"no channel 'nothing'"),
-        ("time", None, r"'time' of run\.csv is the time axis"),
+        ("time", None, r"'time' of run\.csv is a time axis"),
         (None, "sample", r"'sample' of run\.csv is a counter"),
         ("tip", ["tip", "root"], r"'tip' cannot be both input and output"),
         (["tip", "tip"], None, r"'tip' is named more than once"),

@@ -223,6 +223,36 @@ LOGGERS = {  # what stands above the rows of three numbers, the numbers' delimit
         ".",
         {"Untitled": "", "Untitled 1": ""},
     ),
+    **{
+        f"{titles} / {units}": (
+            f"{titles}\n{units}\n",
+            sep,
+            sign,
+            {titles.split(sep)[1]: "m/s^2", titles.split(sep)[2]: "N"},
+        )
+        for sep, sign, titles, units in (
+            *(
+                (";", ",", "Zeit;a;F", "s;g;kN"),
+                (";", ",", "Zeit;a;F", "[s];[g];[kN]"),
+                (";", ",", "Zeit;A;B", "s;g;kN"),
+            ),
+            *((";", ".", "Time;acc;force", "Seconds;g;kN"), ("\t", ".", "Temps\ta\tF", "s\tg\tN")),
+            *((",", ".", "time,acc,force", "SEC,g,N"),),
+        )
+    },
+    "units above the names": ("s,kN,g\ntime,force,a1\n", ",", ".", {"force": "N", "a1": "m/s^2"}),
+    "units above, in a remark": ("# units: s, g, kN\n# time, a, F\n", ",", ".", {"a": "m/s^2", "F": "N"}),
+    "units above, said to be": ("Einheit: s;V;N\nZeit;a;F\n", ";", ",", {"a": "V", "F": "N"}),
+    "units in a remark further up": (
+        *("# units: s, g, kN\n# by a logger, on Monday\n#\ntime,a,F\n", ",", "."),
+        {"a": "m/s^2", "F": "N"},
+    ),
+    "units above and beside": ("s,kN,g\ntime [s],force [N],a1\n", ",", ".", {"force": "N", "a1": "m/s^2"}),
+    "names of sensors below names with units": (
+        *("Zeit [s];Beschl [g];Kraft [kN]\n;Sensor 1;Sensor 2\n", ";", ","),
+        {"Beschl": "m/s^2", "Kraft": "N"},
+    ),
+    "names of one letter below titles": ("Zeit;Kanal;Kanal\nt;A;F\n", ";", ",", {"A": "", "F": ""}),
     "places in arrays": ("time [s],gyro[0],gyro[1]\n", ",", ".", {"gyro[0]": "", "gyro[1]": ""}),
 }
 
@@ -300,3 +330,11 @@ def test_a_unit_behind_a_name_is_warned_of(tmp_path):
     (tmp_path / "a.csv").write_text("time [s],speed_rpm\n" + "".join(f"{k / 100:.2f},{k % 7}\n" for k in range(60)))
     with pytest.warns(IdentificationWarning, match="speed_rpm: no unit .*ends in 'rpm'"):
         read_record(tmp_path / "a.csv")
+
+
+def test_a_unit_in_brackets_that_is_not_read_is_warned_of_once(tmp_path):
+    rows = "".join(f"{k / 100:.2f},{k % 7},{k % 5},{k % 3}\n" for k in range(60))
+    (tmp_path / "a.csv").write_text("time [s],tip [MM/S2],root [MM/S2],level [counts]\n" + rows)
+    with pytest.warns(IdentificationWarning, match=r"^tip, root: 'MM/S2' is not a unit") as said:
+        assert read_record(tmp_path / "a.csv").output_units == ("MM/S2", "MM/S2", "counts")
+    assert len(said) == 1

@@ -94,13 +94,14 @@ HEADERS = {
     (1.0, "m/s^2"): (
         "Beschleunigung [m/s²]|Accélération [m/s2]|AI A-1 [m/s2]|ACC1@X [m/s2]|Point1:+Z (m/s^2)|Acc [m/s/s]|"
         "Accel X (m/s²)|Acc [m/sec^2]|Acc [ms^-2]|Beschl. [m/s^2]|channel [m/s^2]|channel [m/s2]|channel [m/s²]|"
-        "channel [m s-2]|Accél. (m.s⁻²)|a1 [m/sec2]|acc [ms-2]|acc [m/s/s]|acc (m/s2)|acc [m·s⁻²]|acc [m/s²]"
+        "channel [m s-2]|acc [ms2]|acc [mss]|Accél. (m.s⁻²)|a1 [m/sec2]|acc [ms-2]|acc [m/s/s]|"
+        "acc (m/s2)|acc [m·s⁻²]|acc [m/s²]"
     ),
     (GRAVITY, "m/s^2"): (
         "Beschleunigung (g)|Accélération (g)|Vibration (g)|Acc X (g)|cDAQ1Mod1_ai0 [g]|Acceleration_0 (g)|AI 1 [g]|"
         "AI 1 (g)|Point1:+Z [g]|Acc [G]|Acc [gee]|Acc {g}|Acc <g>|Acc Y (g)|tip [g]|tip [G]|tip [gn]|acc_1 [g]|"
         "acc_1 [G]|acc_1 [gn]|ground [g]|ground [G]|ground [gn]|floor 3 [g]|floor 3 [G]|floor 3 [gn]|AccX [g]|"
-        "AccX [G]|AccX [gn]|G-Force (G)|g force [g]"
+        "AccX [G]|AccX [gn]|G-Force (G)|g force [g]|acc【g】|acc （g）|acc［g］"
     ),
     (GRAVITY / 1000, "m/s^2"): ("Accel X (mg)|Acc [mg]|tip [mg]|acc_1 [mg]|ground [mg]|floor 3 [mg]|AccX [mg]"),
     (INCH, "m/s^2"): ("Acceleration [in/s2]|Acceleration [in/s^2]"),
@@ -121,7 +122,8 @@ HEADERS = {
     (1609.344 / 3600, "m/s"): ("Airspeed (mph)|Speed [mph]"),
     (1852 / 3600, "m/s"): ("Airspeed (kts)|Fahrt [kn]"),
     (1.0, "N"): ("Kraft [N]|Schub [N]|Poussée (N)|Thrust (N)|MX840_CH1 [N]|hammer:+X (N)|Gewichtskraft [N]"),
-    (1000.0, "N"): ("Force [kN]|Kraft (kN)|channel [kN]"),
+    (1000 * GRAVITY, "N"): ("load (tf)"),
+    (1000.0, "N"): ("Force (kn)|Force [kN]|Kraft (kN)|channel [kN]"),
     (10.0, "N"): ("Effort [daN]|Kraft [daN]"),
     (GRAVITY, "N"): ("Thrust (kgf)|Kraft [kp]|thrust [kgf]|thrust (kgf)|thrust [kp]"),
     (GRAVITY / 1000, "N"): ("Thrust (gf)|Thrust [gf]|thrust [gf]|thrust (gf)"),
@@ -150,7 +152,7 @@ HEADERS = {
         "Winkelgeschwindigkeit [°/s]|Rate [deg/s]|Rate [dps]|Gyro X (°/s)|Gyro (dps)|channel [deg/s]|rate [dps]|"
         "rate [°/s]|rate [deg/s]|rate (deg/s)"
     ),
-    (np.pi / 180, "rad"): ("Winkel [°]|Winkel [Grad]|Angle [deg]|Angle (°)|channel [deg]|channel [°]"),
+    (np.pi / 180, "rad"): ("Winkel [°]|Winkel [Grad]|ángulo (grados)|Angle [deg]|Angle (°)|channel [deg]|channel [°]"),
     (np.pi / 180, "rad/s^2"): ("Angular acc [°/s²]|Angular acc [deg/s^2]"),
     (1.0, "rad/s"): ("Gyro X (rad/s)|Omega [rad/s]"),
     (1.0, "N m"): (
@@ -163,7 +165,9 @@ HEADERS = {
         "Torque (lbf·in)|Torque [lb·in]|Torque [in-lbs]|Torque [in-lb]|Torque [lbf-in]|channel [lbf*in]|"
         "torque [in-lb]|torque [in-lbf]|torque [lbf in]"
     ),
-    (POUND * GRAVITY * INCH / 16, "N m"): ("Torque (ozf·in)|Torque [oz-in]|torque [oz-in]|torque (ozf-in)"),
+    (POUND * GRAVITY * INCH / 16, "N m"): (
+        "torque [ozin]|Torque (ozf·in)|Torque [oz-in]|torque [oz-in]|torque (ozf-in)"
+    ),
     (12 * POUND * GRAVITY * INCH, "N m"): ("Moment [lb-ft]|Moment [ft-lb]"),
     (100000.0, "Pa"): ("Druck [bar]|Pression [bar]"),
     (100.0, "Pa"): ("Pressure [hPa]|Pressure [mbar]"),
@@ -203,20 +207,28 @@ KEPT = (
     "Flow [gal/min]|"
     "RH [%RH]|Acc [g²/Hz]|X [(g)]|Acc [g/s]|channel [counts]|channel [raw]|channel [%]|channel [dB]|"
     "channel [mV/V]|channel [LSB]|channel [foo/bar]|channel [9^9^9^9]|channel [os.system('x')]|"
-    "magnetic field [G]|strain [ue]|strain [µε]|phase [U]|gain [a.u.]|x [bananas]|level [dB]"
+    "magnetic field [G]|strain [ue]|strain [µε]|phase [U]|gain [a.u.]|x [bananas]|level [dB]|"
+    "acc [MM/S2]|F [NEWTON]|acc [M/S2]|F [kn]|stiffness [kn/mm]|load (ton)|load (klb)"
 )
 """What no reader can turn into SI: the values stay as they are, and it is said."""
 
 NO_BRACKETS = (
     "Kraft / kN|Point1:+Z g|Acceleration, g|Disp, mm|speed_rpm|accel_g|disp_mm|Weg mm|Drehzahl rpm|Torque Nmm|"
     "pos_deg|Druck bar|Gyro dps|Thrust gf|Tension mV|Effort, daN|rpm|Thrust (gf) raw|Acc [g] filtered|Acc.g|"
-    "Acc-g|ax_mg|speed RPM|Speed_rpm|acc_g|disp, mm|thrust gf|angle/deg"
+    "Acc-g|ax_mg|speed RPM|Speed_rpm|acc_g|disp, mm|thrust gf|angle/deg|"
+    "acc_g_1|acc_g_12|acc_g1|rpm1|force_kN_2|mm_3|Disp mil pp|v mph|torque_ozin|WegMM|ACC_G|accG|a_mps2|a_ms2|acc_mss|"
+    "mm Weg|Weg:mm|acc=g|acc–g|acc 'g'|force \"kN\"|acc [m/s^2|acc (g rms)|vel (mm/s RMS)|Probe X (mil pk-pk)|"
+    "p_MPA|disp_in|temp_F|temp degC|Winkel °|a m/s² RMS|Drehzahl U/min 2|torque_Nm|acc_g_x|gyro_dps_Y|pos_mm_z"
 )
 """A unit behind a name may be a part of it: the values stay as they are, and it is said."""
 
 PLAIN = (
     "Voltage_0|Amplitude - cDAQ1Mod1_ai0|Y_Value|Wegaufnehmer (induktiv)|Sensor (links)|tip (left)|"
-    "Sonde (droite)|tip|tip (1)|sensor_A|floor_2|node_m|top min|ch_in"
+    "Sonde (droite)|tip|tip (1)|sensor_A|floor_2|node_m|top min|ch_in|"
+    "a1|input|sensor_m|x_in|Probe A|motor_A|phase_a|force|position|velocity_x|node 12|left|gyro_x|temp|A1|V1|m2|s1|"
+    "g1|N12|MX840_CH1|Sensor F|node_G|temp_c|motor_temp C1|left_foot|temp_min|top max|Kp|x_bar|bar_1|acc_NS|acc_EW|"
+    "ft_1|ch 1|disp_rad|second|channel N|PS1|hp_out|hammer:+X|Dev1/ai0|accX|vbat|sensor 3 F|in|out|n|T|t|h|L|Kraft|Weg|"
+    "g_x|g level|mag_x|gyro x|c_x"
 )
 
 
@@ -241,6 +253,30 @@ def test_headers_that_are_not_read_are_said(headers, said):
         assert not conversion.changed, header
         assert conversion.unit == split_header(header)[1], header
         assert said in str(conversion), header
+
+
+@pytest.mark.parametrize("header", ["Weg|mm", "force |kN|"])
+def test_a_bar_cuts_a_unit_off(header):
+    assert "the name ends in" in convert_unit(header, "").note
+
+
+@pytest.mark.parametrize("header", ["Force (kg)", "Thrust (kg)", "Kraft [kg]", "Load [t]"])
+def test_a_mass_under_a_name_of_a_force_is_doubted(header):
+    conversion = convert_unit(*split_header(header))
+    assert (conversion.unit, conversion.doubtful) == ("kg", True)
+    assert "write kgf if it is one" in str(conversion)
+
+
+@pytest.mark.parametrize(
+    ("header", "doubtful"),
+    [
+        *(("Acc [MM/S2]", True), ("Force kN", True), ("F [kn]", True), ("Level [bananas]", True), ("Ch 3 [lb]", True)),
+        *(("Count [counts]", False), ("RH [%]", False), ("Acc [g]", False), ("Strain [µm/m]", False), ("tip", False)),
+        *(("thrust [g]", False), ("Gewichtskraft [kg]", False), ("Mass [kg]", False), ("Disp [mil]", False)),
+    ],
+)
+def test_doubtful_is_what_may_be_in_another_unit_than_the_record_says(header, doubtful):
+    assert convert_unit(*split_header(header)).doubtful is doubtful
 
 
 def test_what_g_was_taken_for_is_said():
