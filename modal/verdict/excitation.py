@@ -30,7 +30,7 @@ from modal.preparation.kind import acting_rows
 from modal.preparation.lines import MAIN_LOBE, blackman_harris, line_bins
 from modal.verdict.probability import FEWEST_TURNS, HARDLY_DRIVEN, LEAST_HEIGHT, RESOLVED, drifting, f_ratio
 from modal.wording.text import counted, hertz, listed
-from okid.arrays import BoolArray, ComplexArray, FloatArray
+from okid.arrays import ROUNDED, BoolArray, ComplexArray, FloatArray
 from okid.record import Record
 from okid.rows import complete_rows, runs_of, usable_rows
 
@@ -443,7 +443,9 @@ def ringing(model: ModalModel, records: Sequence[Record], left: Sequence[FloatAr
     """(n_modes,) F ratio of what each mode does while no input acts, from the first blow or release on.
 
     A blow has zeros in its spectrum. A pole on one of them answers while the blow lasts, whatever happens then (an
-    amplifier that is overloaded, a sensor that shifts), and is over with it. A mode rings on.
+    amplifier that is overloaded, a sensor that shifts), and is over with it. A mode rings on. Where errors ring as it
+    does, under wind, the filter that makes them white takes the ringing away as well: so the product of the answer with
+    the records without it is also compared with its products with the errors at all other times.
 
     Args:
         model: modes of the model that ran.
@@ -466,9 +468,36 @@ def ringing(model: ModalModel, records: Sequence[Record], left: Sequence[FloatAr
     over = [~own & (np.arange(own.size) >= own.argmax()) for own in acting]
     after = [np.where(own[:, np.newaxis], errors, np.nan) for own, errors in zip(over, left, strict=True)]
     gains = driven_gain(model, records, after, by_itself=False)
-    n_rows = sum(int(complete_rows(errors).sum()) for errors in after)
-    n_values = n_rows * records[0].n_outputs
-    return np.array([f_ratio(mode, float(gain), n_values) for mode, gain in zip(model.modes, gains, strict=True)])
+    n_values = records[0].n_outputs * sum(int(complete_rows(errors).sum()) for errors in after)
+    white = np.array([f_ratio(mode, float(gain), n_values) for mode, gain in zip(model.modes, gains, strict=True)])
+    return np.fmax(white, _beyond_other_times(model, records, after))
+
+
+def _beyond_other_times(model: ModalModel, records: Sequence[Record], left: Sequence[FloatArray]) -> FloatArray:
+    """(n_modes,) square of the product of each answer with the records without it, over what chance makes, and over k.
+
+    With the errors e of n rows y'e varies by sum over lags of (y'e(lag))^2 / n, whatever their colour; k: `f_ratio`.
+    """
+    poles, _ = discrete_poles(model.modes, model.dt)
+    rows = [complete_rows(errors) for errors in left]
+    together = np.concatenate([errors[there] for errors, there in zip(left, rows, strict=True)])
+    size = np.sqrt(np.square(together).sum(axis=0) / max(len(together), 1))
+    size, (common, chance) = np.maximum(size, ROUNDED * size.max()), np.zeros((2, len(model)))
+    if not size.any():
+        return np.full(len(model), np.nan)
+    for record, errors, there in zip(records, left, rows, strict=True):
+        e = np.where(there[:, np.newaxis], errors / size, 0.0)
+        spectrum = np.fft.rfft(e, 2 * there.size, axis=0)
+        for i, mode in enumerate(model.modes):
+            if mode.kind != "oscillatory" or not there.any():
+                continue
+            drive, shape = np.nan_to_num(record.inputs) @ mode.participation, 2.0 * mode.shape / size
+            y = answer_from_rest(drive, complex(poles[i]), shape, np.ones_like(there)) * there[:, np.newaxis]
+            lags = np.fft.irfft((np.fft.rfft(y, 2 * there.size, axis=0).conj() * spectrum).sum(axis=1))
+            common[i] += float((y * (y + e)).sum())
+            chance[i] += float(np.square(lags).sum() / there.sum())
+    k = np.array([2 * (mode.shape.size + mode.participation.size) for mode in model.modes])
+    return np.divide(np.square(common), k * chance, out=np.full(len(model), np.nan), where=chance > 0)
 
 
 def undriven_doubt(mode: Mode, gain: float, duration: float, *, free: bool = False) -> tuple[str, ...]:

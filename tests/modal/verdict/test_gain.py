@@ -219,7 +219,8 @@ def test_only_what_rings_after_the_blow_tells_of_a_mode():
         part[k], state = 2 * state.real, np.exp(model.modes[0].pole * 0.01) * state + push
     errors = np.concatenate([noise[0, 700:, 0], noise[1, :, 0]])
     without = errors + np.r_[part[700:], np.zeros(4000)]
-    assert found[0] == pytest.approx(errors.size / 4 * ((without**2).sum() / (errors**2).sum() - 1))
+    expected = errors.size / 4 * ((without**2).sum() / (errors**2).sum() - 1)
+    assert found[0] == pytest.approx(expected, rel=0.1)  # or what the errors at other times make of it, if more
     assert found[1] < 5.0
     assert np.isnan(found[2])  # what grows is no mode
     of_all_rows = driven_gain(model, [record, rest], list(noise))
@@ -310,3 +311,28 @@ def test_beyond_the_band_of_the_inputs_a_mode_must_show_where_it_is():
     quiet = 0.01 * noise
     gain, values = asked(strong + quiet, quiet)
     assert gain[1] > 0.5
+
+
+def test_what_rings_after_a_blow_under_wind_is_told_from_wind():
+    """Errors that ring as the mode does: a filter that makes them white takes the answer to the blow away as well."""
+    n, dt, pole = 600, 0.01, np.exp(2j * np.pi * 0.07 * (1j - 0.012))
+    blow = np.zeros(n)
+    blow[40:43] = [0.4, 1.0, 0.4]
+    shape = np.array([1.0, -0.6])
+    mode = Mode(
+        pole=np.log(pole) / dt, kind="oscillatory", frequency=7.0, damping_ratio=0.012, shape=shape + 0j,
+        participation=np.array([0.05 + 0j]),
+    )  # fmt: skip
+    model, rng = ModalModel(modes=(mode,), dt=dt, indicator_caution=0.1), np.random.default_rng(8)
+    answer = 2.0 * scipy.signal.lfilter([0.0, 0.05], [1.0, -pole], blow + 0j).real[:, None] * shape
+
+    def asked(size, *, rings):
+        force = size * (rng.standard_normal(n + 800) + 1j * rng.standard_normal(n + 800))
+        wind = scipy.signal.lfilter([1.0], [1.0, -pole], force)[800:].real[:, None] * shape
+        errors = wind + 0.3 * size * rng.standard_normal(wind.shape)
+        record = Record(blow, errors + (answer if rings else 0.0), dt)
+        return float(ringing(model, [record], [errors if rings else errors - answer])[0])
+
+    of_wind = np.array([asked(0.004, rings=False) for _ in range(200)])
+    assert (of_wind > 5.0).sum() <= 2
+    assert min(asked(0.001, rings=True) for _ in range(20)) > 5.0
