@@ -154,7 +154,7 @@ def test_too_short_a_record_is_refused_with_the_number_it_needs(n_samples):
     if n_samples == 40:
         prepare([record])
         return
-    with pytest.raises(InsufficientDataError, match=r"at least 40 samples in one record, .* the longest has 39"):
+    with pytest.raises(InsufficientDataError, match=r"at least 40 samples in one record .* the longest has 39"):
         prepare([record])
 
 
