@@ -152,7 +152,7 @@ class SmoothLaw(ForceEffect):
         near = [rest + side * step for step in range(1, n_pairs + 1) for side in (-1, 1)]
         near = [i for i in near if 2 <= i <= self.n_points - 3]
         cubes = 6.0 * _splines(low, high, self.n_points)[0].c[0]
-        jumps = np.array([cubes[i] - cubes[i - 1] for i in near]).reshape(len(near), -1)
+        jumps = np.array([cubes[i] - cubes[i - 1] for i in near]).reshape(len(near), cubes.shape[-1])
         return np.column_stack([np.zeros((len(near), 2)), jumps])
 
     def linear_name(self, where: str) -> str:

@@ -137,7 +137,7 @@ def from_outside(records: Sequence[Record]) -> tuple[Record, ...]:
         records: as measured, with inputs.
 
     Returns:
-        The records, shorter by the lags; as they came where they are too few for the sums.
+        The records, shorter by the lags, without those that are no longer; as they came where too few for the sums.
 
     Example:
         >>> rng = np.random.default_rng(1)
@@ -159,7 +159,7 @@ def from_outside(records: Sequence[Record]) -> tuple[Record, ...]:
     known = np.r_[0, 1 + m + q : len(gram.matrix)]
     weights = np.linalg.lstsq(gram.matrix[np.ix_(known, known)], gram.matrix[known, 1 : 1 + m], rcond=1e-12)[0]
     free = []
-    for record in filled(records):
+    for record in filled([one for one in records if one.n_samples > own]):
         inputs = (np.nan_to_num(record.inputs) - scaling.input_mean) / scaling.input_scale
         both = np.hstack([inputs, (record.outputs - scaling.output_mean) / scaling.output_scale])
         n = len(both) - own
@@ -169,7 +169,7 @@ def from_outside(records: Sequence[Record]) -> tuple[Record, ...]:
         left = inputs[own:] - made
         there = np.sqrt(np.square(left).mean(axis=0)) > ROUNDING
         free.append(replace(record.samples(own), inputs=np.where(there, left, 0.0)))
-    return tuple(free)
+    return tuple(free or records)
 
 
 def _radius(own: FloatArray) -> float:

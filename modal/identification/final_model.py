@@ -277,7 +277,6 @@ def with_noise(
     model: Realisation,
     refined: RefinedModel | None,
     *,
-    noise_free: str = "",
     measured: Sequence[BoolArray] = (),
     feedback: bool = False,
     order_given: bool = False,
@@ -295,9 +294,7 @@ def with_noise(
         return made
     if measured and (made.leaves_nearly_white or lack_outputs(measured)):
         colour = "nearly white" if made.leaves_nearly_white else "told"
-        noise_free = f"{colour} where it was measured, and samples that were filled hold none"
-    if noise_free:
-        return replace(made, why=noise_free)
+        return replace(made, why=f"{colour} where it was measured, and samples that were filled hold none")
     evidence = base if base.factors is not None else model
     noise, why = noise_model(
         records,

@@ -33,7 +33,7 @@ from modal.modes.shape_comparison import assurance
 from modal.verdict.judgement import LARGEST_BAND, SAME_SHAPE, Answer, doubted
 from modal.verdict.probability import RESOLVED
 from modal.wording.text import hertz, listed, percent
-from okid.arrays import TINY, ComplexArray, FloatArray
+from okid.arrays import ROUNDED, TINY, ComplexArray, FloatArray
 from okid.record import Record
 from okid.scaling import channel_scaling
 
@@ -150,7 +150,7 @@ def _standing_on(
 
 def _share_within(mode: Mode, low: float, high: float) -> float:
     """Of the half-power band of a mode."""
-    half = mode.damping_ratio * mode.frequency
+    half = max(mode.damping_ratio, ROUNDED) * mode.frequency
     inside = min(high, mode.frequency + half) - max(low, mode.frequency - half)
     return inside / (2.0 * half)
 
@@ -211,7 +211,8 @@ def _envelope(mode: Mode, half: float, motion: _Motion) -> _Envelope:
         seen += float(np.square(np.abs(np.fft.fft(np.square(np.abs(signal)))[1:n])).sum()) * (size / total) ** 2
         power = np.fft.fft(np.square(np.abs(part)), size)
         means.append(np.maximum(np.fft.ifft(np.square(np.abs(power))).real[1:n], 0.0) / total**2)
-        turn = np.angle(signal[1:] * signal[:-1].conj()) / (2.0 * np.pi) % 1.0
+        turn = np.angle(signal[1:] * signal[:-1].conj()) / (2.0 * np.pi)
+        turn -= np.round(turn - n / (2.0 * size))  # within half a turn of the band's middle
         turns.append(lines[0] + turn * size * (lines[1] - lines[0]))
         weights.append(np.square(np.abs(signal[1:])))
     turn, weight = np.concatenate(turns), np.concatenate(weights)

@@ -56,6 +56,7 @@ _PARTS = {
     **dict.fromkeys(("phase", "angle"), "phase"),
     **dict.fromkeys(("coh", "coherence"), "coherence"),
 }
+_OF_TIME = re.compile(r"m?s(?:ec)?\^?\*{0,2}\d?|s²|s\s*\*\s*s")
 _NOTE = re.compile(r"averages (\d{1,9}); window ([a-z]+)(?: of ([0-9.e+-]+) s)?(?:; overlap (0(?:[.][0-9]{1,9})?))?")
 
 
@@ -342,7 +343,8 @@ def _add_units(found: _Functions, each: Mapping[str, Any], output: str, input_: 
 
 
 def _in_si(found: _Functions, output: str, input_: str, above: str, below: str) -> None:
-    out, into = convert_unit(output, above), convert_unit(f"force {input_}", below)
+    out = convert_unit(output, above)  # below another than a force stands one, of which g is no acceleration
+    into = convert_unit(input_ if out.unit in {"N", "N m"} else f"force {input_}", below)
     found.responses[output, input_] = found.responses[output, input_] * (out.factor / into.factor)
     found.output_units.setdefault(output, out.unit)
     found.input_units.setdefault(input_, into.unit)
@@ -350,11 +352,12 @@ def _in_si(found: _Functions, output: str, input_: str, above: str, below: str) 
 
 def _quotient(unit: str) -> tuple[str, str]:
     """Output and input unit of "m/s^2/N", "(m/s^2)/N", "N/(m/s^2)" or "g/N"; "m/s^2" alone is an output's."""
-    if whole := re.fullmatch(r"\s*([^()]+?)\s*/\s*\(([^()]+)\)\s*", unit):
+    whole = re.fullmatch(r"\s*([^()]+?)\s*/\s*\(([^()]+)\)\s*", unit)
+    if whole and not _OF_TIME.fullmatch(whole[2].strip()):
         return whole[1], whole[2].strip()
     above, _, below = unit.rpartition("/")
     below = below.strip(" ()")
-    if not above or re.fullmatch(r"m?s(?:ec)?\^?\*{0,2}\d?|s²", below):
+    if not above or _OF_TIME.fullmatch(below):
         return unit.strip(), ""
     above = above.strip()
     return (above[1:-1] if above.startswith("(") and above.endswith(")") else above), below

@@ -18,7 +18,7 @@ import numpy as np
 
 from okid.arrays import FloatArray, column_block, row_chunks, time_step
 from okid.errors import IdentificationWarning, InsufficientDataError, InvalidDataError
-from okid.readers.units import MAX_NAME, PARENTHESIS, UnitConversion, convert_unit, in_si
+from okid.readers.units import MAX_NAME, PARENTHESIS, UnitConversion, convert_unit, in_si, one_time
 
 TIME_NAMES = frozenset(
     [
@@ -117,10 +117,9 @@ class Table:
     def further_times(self) -> list[int]:
         """Indices of columns that give the time once more, in another unit or rounded: they too grow by equal steps."""
         first = self.time_column()
-        spoken = (
-            [] if first is None else [k for k, one in enumerate(self.columns) if k != first and _speaks_of_time(one)]
-        )
-        return [k for k in spoken if _is_ramp(self.values[:, k], CONTRADICTION)]
+        spoken = [k for k, one in enumerate(self.columns) if first not in (None, k) and _speaks_of_time(one)]
+        ramps = [k for k in spoken if _is_ramp(self.values[:, k], CONTRADICTION)]
+        return [k for k in ramps if one_time(np.ptp(self.values[:, [first or 0, k]], axis=0), CONTRADICTION)]
 
     def counter_column(self) -> int | None:
         """Index of a column that only counts the samples (0, 1, 2, ... or 1, 2, 3, ...), None if there is none."""

@@ -4,12 +4,11 @@ The layout is found from the first megabyte; the numbers are then read by pyarro
 fails is the text looked through line by line, to say which cell is at fault.
 
 The dialect is the one under which the most lines after the first line of numbers are lines of as many numbers. What
-stands before that line is the header (the last line of as many names), a line of units below it if there is one, and
-remarks, which are left alone.
+stands before that line is the header (the last line of as many names), a line of units if there is one, and remarks.
 
 A column of stamps of a clock is the time whatever its header says (Datum, Date/Time, Uhrzeit). ISO 8601, its blank in
-place of the T, 2026/05/04, 04.05.2026 12:00:00, and a clock without a date are read; what only a country's habit tells
-(05/04/2026) is not. The digits stay as they were written, for they say how far a stamp was rounded.
+place of the T, 2026/05/04, 04.05.2026 12:00:00, and a clock without a date are read; 05/04/2026, which only a country's
+habit tells, is not. Digits stay as written: they say how far a stamp was rounded.
 """
 
 import codecs
@@ -31,7 +30,7 @@ from okid.arrays import FloatArray
 from okid.errors import UnreadableFileError
 from okid.readers.guard import check_channel_count, check_memory, first_line
 from okid.readers.table import Column, LeftOut, Table, unique_names
-from okid.readers.units import looks_like_unit, split_header
+from okid.readers.units import looks_like_unit, split_header, with_unit
 
 MISSING = (
     *("", "nan", "NaN", "NAN", "-nan", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None"),
@@ -207,18 +206,17 @@ def _headers(
 def _with_units(rows: Sequence[list[str] | None], dialect: Dialect) -> tuple[str, ...]:
     """The headers that rows of names and units make up, the lowest first: below the units sensors may be named."""
     pairs = [(low, high) for low, high in itertools.pairwise(rows[:3]) if low and high and _is_header(low, dialect)]
-    turned = [(row, rows[0]) for row in rows[1:] if row and rows[0] and len(row) > 1]  # above the names, or in a remark
-    for units, titles in (*pairs, *turned):
+    lowest = rows[0] or []  # or above the names, in a row or a remark: a unit of time over a time, or nothing there
+    above = [row for row in rows[1:] if lowest and row and len(row) > 1 and all(map(_stands_over, lowest, row))]
+    for units, titles in (*pairs, *((row, lowest) for row in above)):
         if _is_units_row(titles, units):
-            written = ("" if _UNITS_WORD.fullmatch(unit) else f" [{unit.strip('[]() ')}]" for unit in units)
-            return tuple(
-                name if split_header(name)[1] else name + unit for name, unit in zip(titles, written, strict=True)
-            )
+            cells = [None if _UNITS_WORD.fullmatch(cell) else cell.strip("[]() ") for cell in units]
+            return tuple(with_unit(*both, stays=units in above) for both in zip(titles, cells, strict=True))
     for low, high in pairs[:1]:
         times = [_is_time(*split_header(cell)) and not sensor for cell, sensor in zip(high, low, strict=True)]
         if any(times) and all(split_header(cell)[1] for cell in high):
             return tuple(high)
-    return tuple(rows[0] or ())
+    return tuple(lowest)
 
 
 def _is_header(cells: Sequence[str], dialect: Dialect) -> bool:
@@ -227,6 +225,10 @@ def _is_header(cells: Sequence[str], dialect: Dialect) -> bool:
 
 def _is_time(name: str, unit: str) -> bool:
     return _TIME_HEADER.match(name) is not None and unit.strip("[]() ").lower() in _TIME_UNITS
+
+
+def _stands_over(name: str, unit: str) -> bool:
+    return _TIME_HEADER.match(name) is None or not unit.strip() or _is_time(name, unit)
 
 
 def _is_units_row(titles: Sequence[str], row: Sequence[str]) -> bool:
@@ -461,8 +463,7 @@ def _numbers(file: BinaryIO, layout: TextLayout, names: list[str], path: Path) -
 
     start = file.tell()
     source: Any = file
-    delimiter = layout.dialect.delimiter
-    if delimiter == " ":
+    if (delimiter := layout.dialect.delimiter) == " ":
         source = io.BytesIO(_LINE_ENDS.sub(b"", _BLANKS.sub(b" ", file.read())))
     keys = [str(index) for index in range(layout.n_columns)]
     blanks = [" " * width for width in range(1, 33)]
@@ -563,7 +564,7 @@ def with_seconds(data: bytes, head: bytes | None = None) -> bytes:
     if first is None or not all(stamp.match(line) for line in lines[first:-1] if line.strip()):
         return data
     begin = stamp.match(lines[first])
-    origin = _whole_seconds(begin) if begin else 0
+    origin = 0 if begin is None else _whole_seconds(begin)
     comma = stamp is _COMMA and any(re.search(rb"\d,\d", stamp.sub(b"", line)) for line in lines[first:])
     sign = b"," if comma else b"."  # as the numbers beside it are written
 

@@ -398,6 +398,19 @@ def unit_error(gain: float, std: float) -> str:
     return f"{words}, a factor of {math.exp(abs(exponent)):.6g}"
 
 
+def with_unit(name: str, unit: str | None, *, stays: bool) -> str:
+    """A name with a unit that stands elsewhere; its own in brackets stays where asked for, and where that is none."""
+    own = split_header(name)[1]
+    kept = unit is None or own == unit or ((stays or not unit) and looks_like_unit(own))
+    return name if kept else f"{name} [{unit}]"
+
+
+def one_time(spans: FloatArray, within: float) -> bool:
+    """Whether two columns of so long spans may be one time in two units."""
+    rate = float(spans.max() / spans.min())
+    return any(abs(rate / size - 1.0) <= within for size in (1.0, 60.0, 3600.0, 1e3, 1e6, 1e9))
+
+
 def _unread_unit(channel: str) -> str:
     """What a reader must know where a name without a unit begins or ends in one.
 

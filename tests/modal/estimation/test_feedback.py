@@ -187,3 +187,14 @@ def test_a_smooth_force_in_open_loop_is_no_feedback(n_inputs):
     assert all("move between their samples" in words for words in result.warnings if "feeds them back" in words)
     assert all(np.abs(mode.frequency / frequency - 1.0).min() < 1e-3 for mode in result.modes.system)
     assert len(result.modes.system) == 2
+
+
+def test_a_record_shorter_than_the_lags_tells_nothing_of_a_loop():
+    rng = np.random.default_rng(6)
+    r, e, u, y = *rng.standard_normal((2, 4000)), np.zeros(4000), np.zeros(4000)
+    for k in range(1, 4000):
+        y[k] = 0.5 * y[k - 1] + u[k - 1] + e[k]
+        u[k] = r[k] - 0.3 * y[k - 1]
+    free = from_outside([Record(u, y, 0.1), Record(u[:5], y[:5], 0.1)])
+    alone = from_outside([Record(u, y, 0.1)])
+    assert len(free) == len(alone) == 1

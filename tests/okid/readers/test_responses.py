@@ -241,6 +241,8 @@ def test_damaged_files_are_refused_or_read_as_they_are(table, tmp_path):
         ("N/m", "N", "m", 1.0),
         ("(mm/s^2)/N", "m/s^2", "N", 1e-3),
         ("mm/s^2/kN", "m/s^2", "N", 1e-6),
+        ("N/g", "N", "m/s^2", 1 / 9.80665),
+        ("m/(s^2)", "m/s^2", "", 1.0),
     ],
 )
 def test_the_unit_of_a_quotient_is_taken_apart(unit, output, into, factor, tmp_path):

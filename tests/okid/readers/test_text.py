@@ -338,3 +338,27 @@ def test_a_unit_in_brackets_that_is_not_read_is_warned_of_once(tmp_path):
     with pytest.warns(IdentificationWarning, match=r"^tip, root: 'MM/S2' is not a unit") as said:
         assert read_record(tmp_path / "a.csv").output_units == ("MM/S2", "MM/S2", "counts")
     assert len(said) == 1
+
+
+@pytest.mark.parametrize(
+    ("head", "names", "units"),
+    [
+        ("time,acc [1],acc [2]\ns,g,g", ("acc [1]", "acc [2]"), ("m/s^2", "m/s^2")),
+        ("time,gyro [x],gyro [y]\ns,deg/s,deg/s", ("gyro [x]", "gyro [y]"), ("rad/s", "rad/s")),
+        ("A,C,V\nt,u,y", ("u", "y"), ("", "")),
+        ("N,V,A\ntime,u,y", ("u", "y"), ("", "")),
+        ("s,kN,g\ntime,force,a1", ("force", "a1"), ("N", "m/s^2")),
+    ],
+)
+def test_rows_beside_the_names_are_units_where_they_can_be(head, names, units, tmp_path):
+    """Brackets in a name may hold an index, and a row over the names may be a group."""
+    (tmp_path / "a.csv").write_text(head + "\n" + "".join(f"{k / 100:.2f},{k % 7},{k % 5}\n" for k in range(60)))
+    record = read_record(tmp_path / "a.csv")
+    assert (record.output_names, record.output_units) == (names, units)
+
+
+@pytest.mark.parametrize(("name", "rate", "is_time"), [("Time [ms]", 1e3, True), ("delay [ms]", 1.33, False)])
+def test_a_ramp_is_a_further_time_only_where_it_grows_as_time_does(name, rate, is_time, tmp_path):
+    rows = "".join(f"{k / 100:.2f},{1 + rate * k / 100:.6f},{k % 5}\n" for k in range(60))
+    (tmp_path / "a.csv").write_text(f"time [s],{name},acc\n" + rows)
+    assert read_record(tmp_path / "a.csv").output_names == (("acc",) if is_time else ("delay", "acc"))
