@@ -408,7 +408,7 @@ def with_unit(name: str, unit: str | None, *, stays: bool) -> str:
 def one_time(spans: FloatArray, within: float) -> bool:
     """Whether two columns of so long spans may be one time in two units."""
     rate = float(spans.max() / spans.min())
-    return any(abs(rate / size - 1.0) <= within for size in (1.0, 60.0, 3600.0, 1e3, 1e6, 1e9))
+    return any(abs(rate / size - 1.0) <= within for size in (1, 60, 3600, 10**3, 10**6, 10**9))
 
 
 def _unread_unit(channel: str) -> str:
@@ -430,14 +430,9 @@ def _unread_unit(channel: str) -> str:
     last = [words[-1], _INNER_WORD.split(words[-1])[-1]] if words else []
     written = written or next((word for word in last if _may_be_unit(word, channel)), "")
     place = "ends in" if written else "begins with"
-    if (
-        not written
-        and len(words) > 1
-        and len(words[0]) > 1
-        and words[0] in _WORDS_OF_UNITS
-        and _may_be_unit(words[0], "")
-    ):
-        written = words[0]
+    first = words[0] if len(words) > 1 else ""
+    if not written and len(first) > 1 and first in _WORDS_OF_UNITS and _may_be_unit(first, ""):
+        written = first
     if not written:
         return ""
     return f"the name {place} {written!r}; if that is the unit, write it in brackets: the values are kept as they are"
