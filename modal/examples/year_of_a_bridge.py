@@ -27,7 +27,7 @@ from modal.examples.story import command_line, print_written
 from modal.tracking.page import tracks_headline, write_tracks
 from modal.tracking.tracks import Tracks, track
 from okid.arrays import FloatArray
-from okid.readers.table import DAY
+from okid.readers.clock import DAY
 
 N_HOURS, N_MASSES, N_MODES = 8760, 6, 5
 DAMAGE_DAY, LOSS = 240, 0.02

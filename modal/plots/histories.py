@@ -10,7 +10,7 @@ from modal.plots.layout import INCH, Chart, Key, grid_of, one_panel
 from modal.plots.panels import IN_TURN, STYLE, Panel, Role, envelope
 from modal.wording.text import fit_text, hertz, plot_label
 from okid.arrays import FloatArray
-from okid.readers.table import DAY
+from okid.readers.clock import DAY
 from okid.record import Record
 from okid.residuals import ResidualCheck
 

@@ -25,7 +25,7 @@ import numpy as np
 
 from modal.comparison.shifts import chance_together
 from okid.arrays import ROUNDED, BoolArray, FloatArray
-from okid.readers.table import DAY
+from okid.readers.clock import DAY
 
 
 class Causes:

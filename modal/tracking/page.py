@@ -21,7 +21,7 @@ from modal.sections.provenance import installed_version
 from modal.tracking.tracks import Track, Tracks
 from modal.wording.text import hertz, shorten
 from okid.arrays import FloatArray
-from okid.readers.table import DAY
+from okid.readers.clock import DAY
 
 TRACK_PAGE, TRACK_TABLE, TRACK_RECORDING = "tracks.html", "tracks.parquet", "tracks.rrd"
 EPOCH_FROM = 1e9

@@ -52,6 +52,9 @@ READERS: Mapping[str, Callable[[Path], Table]] = {
 }
 """One function a file type."""
 
+WORTH_SAYING = 1e-5
+"""Say how well rounded times tell the time step from this share of it on: a tenth of what is warned of."""
+
 A_FURTHER_TIME = "it gives the time of the record once more"
 OTHERS = "okid.readers"
 """Group of entry points under which other packages offer readers, each named by its ending without the dot."""
@@ -120,6 +123,7 @@ class FileDescription:
         inputs: names of the inputs, if the file itself tells them apart, else None.
         outputs: likewise.
         left_out: what else is in the file, and why it is no channel.
+        dt_within: how far the time step may be off, because the file's times are rounded [s].
     """
 
     path: Path
@@ -130,11 +134,14 @@ class FileDescription:
     inputs: tuple[str, ...] | None
     outputs: tuple[str, ...] | None
     left_out: tuple[LeftOut, ...]
+    dt_within: float = 0.0
 
     @property
     def remarks(self) -> tuple[str, ...]:
         """One sentence for each way in which units were converted or kept; channels treated alike share one."""
         remarks = remarks_on([each for each in self.channels if each.changed or each.note])
+        if self.dt and self.dt_within > WORTH_SAYING * self.dt:
+            remarks.append(f"its times are rounded, so dt is known to {100.0 * self.dt_within / self.dt:.2g} %")
         return (*remarks, *(f"{left.name} left out: {left.reason}" for left in self.left_out))
 
     def __str__(self) -> str:
@@ -160,13 +167,14 @@ def describe_table(table: Table, *, dt: float | None = None) -> FileDescription:
     Raises:
         InvalidDataError: its time column is no uniform grid, and no time step is given.
     """
-    step = stated_step(table)[0] if dt is None else dt
+    step, _, within = stated_step(table) if dt is None else (dt, 0.0, 0.0)
     times = [table.names[index] for index in table.further_times()]
     return FileDescription(
         path=table.path,
         format=table.format,
         n_samples=table.n_samples,
         dt=step,
+        dt_within=within,
         channels=tuple(conversion_of(table, index) for index in table.channels()),
         inputs=table.inputs,
         outputs=table.outputs,
@@ -234,7 +242,7 @@ def _held(table: Table, inputs: Sequence[str] | str | None, outputs: Sequence[st
 
 
 def _joined(tables: Sequence[Table], held: Sequence[frozenset[str]]) -> Table:
-    steps = [stated_step(table) for table in tables]
+    steps = [stated_step(table)[:2] for table in tables]
     first, (step, start_time) = tables[0], steps[0]
     for table, (other_step, other_start) in zip(tables[1:], steps[1:], strict=True):
         drift = 0.0
@@ -272,7 +280,7 @@ def _joined(tables: Sequence[Table], held: Sequence[frozenset[str]]) -> Table:
 
 
 def _grid(table: Table, step: float | None, start_time: float) -> str:
-    return f"{table.n_samples} samples" + ("" if step is None else f" of {step:.6g} s from {start_time:.6g} s")
+    return f"{table.n_samples} samples" + ("" if step is None else f" of {step:.6g} s from {start_time:.12g} s")
 
 
 def _setups(

@@ -13,6 +13,9 @@ from okid.readers.guard import Damage, check_channel_count, check_memory, first_
 from okid.readers.table import Column, LeftOut, Table, unique_names
 from okid.readers.units import split_header
 
+UNITS_OF_STAMPS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+"""Seconds in the units of Arrow's stamps."""
+
 UNIT_KEYS = (b"unit", b"units", b"Unit", b"Units")
 
 
@@ -80,7 +83,7 @@ def table_of_arrow(table: Any, *, path: Path, file_format: str, left_out: Sequen
     Raises:
         UnreadableFileError: no column of numbers.
     """
-    headers, units, series, without = [], [], [], list(left_out)
+    headers, units, series, origins, without = [], [], [], [], list(left_out)
     for field, column in zip(table.schema, table.itercolumns(), strict=True):
         if not is_numbers(field.type):
             without.append(_no_numbers(field))
@@ -92,6 +95,7 @@ def table_of_arrow(table: Any, *, path: Path, file_format: str, left_out: Sequen
             without.append(LeftOut(name=field.name, reason="it is the index of the frame, which has no name"))
             continue
         headers.append(header)
+        origins.append(_origin(column))
         units.append(unit)
         series.append(values)
     if not series:
@@ -99,8 +103,8 @@ def table_of_arrow(table: Any, *, path: Path, file_format: str, left_out: Sequen
     split = [split_header(header) for header in headers]
     names = unique_names([name for name, _ in split], headers)
     columns = tuple(
-        Column(name=name, unit=unit or written, header=header)
-        for name, unit, (_, written), header in zip(names, units, split, headers, strict=True)
+        Column(name=name, unit=unit or written, header=header, origin=origin)
+        for name, unit, (_, written), header, origin in zip(names, units, split, headers, origins, strict=True)
     )
     return Table(
         path=path, format=file_format, columns=columns, values=np.column_stack(series), left_out=tuple(without)
@@ -136,6 +140,15 @@ def _header(field: Any, schema: Any) -> str:
     if field.name not in index or not re.fullmatch(r"__index_level_\d+__", field.name):
         return str(field.name)
     return "time" if pa.types.is_timestamp(field.type) or pa.types.is_duration(field.type) else ""
+
+
+def _origin(column: Any) -> float:
+    """The first stamp [s since 1970], which `_numbers` counts from; 0 for other numbers."""
+    import pyarrow as pa
+
+    if not pa.types.is_timestamp(column.type) or column.null_count == len(column):
+        return 0.0
+    return float(column.drop_null()[0].value) * UNITS_OF_STAMPS[column.type.unit]
 
 
 def _numbers(column: Any, field: Any) -> tuple[Any, str]:

@@ -17,14 +17,15 @@ from typing import Any, NoReturn, TypeVar
 import numpy as np
 
 from okid.arrays import FloatArray, column_block, row_chunks, time_step
-from okid.errors import IdentificationWarning, InsufficientDataError, InvalidDataError
+from okid.errors import IdentificationWarning, InvalidDataError
+from okid.readers.clock import JITTER, date_of_stamps, uniform_step
 from okid.readers.units import MAX_NAME, PARENTHESIS, UnitConversion, convert_unit, in_si, one_time
 
 TIME_NAMES = frozenset(
     [
         *("time", "t", "timestamp", "time stamp", "elapsed time", "relative time", "time axis", "x value"),
         *("sec", "secs", "second", "seconds", "zeit", "zeitstempel", "temps", "tiempo", "tempo", "tid", "tijd"),
-        *("datetime", "date time", "elapsed", "czas", "aika", "время", "時間", "时间"),
+        *("datetime", "date time", "elapsed", "clock time", "czas", "aika", "время", "時間", "时间"),
     ]
 )
 TIME_SUFFIX = re.compile(r"^(?P<name>.+?)[ ,;/]*(?:\bin )?\b(?P<unit>s|sec|ms|us|µs|ns|min|h)$")
@@ -45,11 +46,15 @@ COUNTER_NAMES = frozenset(["sample", "samples", "sample number", "index", "row",
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Column:
-    """One column of a file: its name, its unit as written, and the header both were read from."""
+    """One column of a file: its name, its unit as written, and the header both were read from.
+
+    The seconds of a time count from its origin [s], which counts from 1970 where the file states a date.
+    """
 
     name: str
     unit: str = ""
     header: str = ""
+    origin: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -195,11 +200,8 @@ def unique_names(names: Sequence[str], headers: Sequence[str]) -> list[str]:
     ]
 
 
-JITTER = 0.1
-"""How far a sample may lie off the uniform grid, in time steps."""
-
-ROUNDED_WIDTH = 1.25
-"""Accept rounded stamps within so many of their last digit: one, and the error of the slope through them."""
+DOUBTED = 1e-4
+"""Warn where rounded times tell the time step no better than this: a clear mode's frequency is known as well."""
 
 CONTRADICTION = 1e-3
 """Relative difference above which a given time step contradicts that of the file."""
@@ -221,7 +223,7 @@ def table_time_step(table: Table, dt: float | None) -> tuple[float, float]:
     if dt is not None:
         dt = time_step(dt)
     try:
-        stated, start_time = stated_step(table)
+        stated, start_time, within = stated_step(table)
     except InvalidDataError:
         if dt is None:
             raise
@@ -236,6 +238,13 @@ def table_time_step(table: Table, dt: float | None) -> tuple[float, float]:
         return float(dt), start_time
     if dt is None:
         _check_whole_stamps(table)
+        if within > DOUBTED * stated:
+            warnings.warn(
+                f"the times of {table.path.name} are rounded, so its time step of {stated:.7g} s and with it every "
+                f"frequency is known to {within / stated:.2%} only; give the time step (--dt) if you know it better.",
+                IdentificationWarning,
+                stacklevel=3,
+            )
         return stated, start_time
     if abs(dt - stated) > CONTRADICTION * stated:
         warnings.warn(
@@ -247,8 +256,12 @@ def table_time_step(table: Table, dt: float | None) -> tuple[float, float]:
     return float(dt), start_time
 
 
-def stated_step(table: Table) -> tuple[float | None, float]:
-    """Time step (None if the file gives none) and time of the first sample [s]; as `table_time_step` raises."""
+def stated_step(table: Table) -> tuple[float | None, float, float]:
+    """Time step (None if the file gives none), time of the first sample, and how far the step may be off [s].
+
+    Raises:
+        InvalidDataError: as `table_time_step` says.
+    """
     index = table.time_column()
     several = [step for _, step in table.steps if step > 0]
     if several and max(several) - min(several) > CONTRADICTION * min(several):
@@ -261,7 +274,7 @@ def stated_step(table: Table) -> tuple[float | None, float]:
             raise InvalidDataError(
                 f"{table.path.name} states a time step of {table.dt} s, which is none; correct it in the file."
             )
-        return table.dt, table.start_time
+        return table.dt, table.start_time, 0.0
     column = table.columns[index]
     conversion = convert_unit("time", _time_name(column)[1])
     if conversion.unit not in {"s", ""}:
@@ -269,41 +282,16 @@ def stated_step(table: Table) -> tuple[float | None, float]:
             f"column {column.name!r} of {table.path.name} is in {column.unit!r}, which is no unit of time; correct its "
             "header, or rename it if it is a channel."
         )
-    factor = conversion.factor if conversion.unit else _seconds_of_stamps(table.values[:, index], column.name)
+    stamps = np.asarray(table.values[:, index])
+    factor, since = (conversion.factor, 0.0) if conversion.unit else date_of_stamps(stamps, column.name)
     name = f"the time column {column.name!r} of {table.path.name}"
     with np.errstate(all="ignore"):  # what is not finite is refused
-        step = _uniform_step(np.asarray(table.values[:, index]), factor, name)
+        step, within = uniform_step(stamps, factor, name)
     if table.dt is not None and abs(step - table.dt) > CONTRADICTION * step:
         raise InvalidDataError(
             f"{name} has a step of {step:.6g} s, but the file states {table.dt:.6g} s; correct one of them."
         )
-    return step, float(table.values[0, index]) * factor
-
-
-YEAR_2000, YEAR_2100 = 946_684_800.0, 4_102_444_800.0
-"""Read stamps between these, seconds since 1970, as a date; a thousand times as much counts milliseconds, and so on."""
-
-DAYS_BEFORE_1970 = (25_569.0, 719_529.0)
-"""Read stamps as days where they give a date between these years: since 1900 (spreadsheets) and since the year 0."""
-
-DAY = 86_400.0
-"""Count so many seconds a day."""
-
-SHORTEST_STEP = 1e-5
-"""Expect no shorter step [s] in stamps of hours and more: what looks so counts days."""
-
-
-def _seconds_of_stamps(stamps: FloatArray, name: str) -> float:
-    """How many seconds one unit of stamps is whose header has none: told by the date that they give, else one."""
-    first, last = float(stamps[0]), float(stamps[-1])
-    for thousands in (1e3, 1e6, 1e9):
-        if YEAR_2000 * thousands <= first < YEAR_2100 * thousands:
-            return 1.0 / thousands
-    may_be_days = "dat" in name.lower() or last - first < SHORTEST_STEP * len(stamps)
-    for origin in DAYS_BEFORE_1970:
-        if may_be_days and YEAR_2000 / DAY + origin <= first < YEAR_2100 / DAY + origin:
-            return DAY
-    return 1.0
+    return step, column.origin + (float(stamps[0]) - since) * factor, within
 
 
 def _check_whole_stamps(table: Table) -> None:
@@ -316,7 +304,7 @@ def _check_whole_stamps(table: Table) -> None:
     conversion = convert_unit("time", unit)
     if (conversion.factor if conversion.unit else 1.0) != 1.0 or not np.array_equal(stamps, np.rint(stamps)):
         return
-    date = _seconds_of_stamps(stamps, name)
+    date = date_of_stamps(stamps, name)[0]
     known = date >= 1.0 if unit else name.startswith("sec") or date != 1.0
     if known or stamps[-1] - stamps[0] < len(stamps) - 1:
         return
@@ -332,70 +320,6 @@ def _check_whole_stamps(table: Table) -> None:
         IdentificationWarning,
         stacklevel=4,
     )
-
-
-def _uniform_step(stamps: FloatArray, factor: float, name: str) -> float:
-    """Mean step over the whole span [s], checked to be a uniform grid; `factor` seconds are one unit of the stamps.
-
-    Stamps that were rounded to the digits they are written with lie off the grid by half of their last digit.
-    """
-    time = factor * stamps
-    n_samples = len(time)
-    if n_samples < 2:
-        raise InsufficientDataError(f"{name} holds {n_samples} sample; a time step needs at least 2.")
-    bad = ~np.isfinite(time)
-    if bad.any():
-        raise InvalidDataError(
-            f"{name} is missing in {int(bad.sum())} of {n_samples} rows, the first of them row {int(bad.argmax()) + 1};"
-            " every sample needs its time."
-        )
-    step = float(time[-1] - time[0]) / (n_samples - 1)
-    back = np.diff(time) <= 0
-    off = np.abs(time - time[0] - step * np.arange(n_samples)) / (step or 1.0)
-    if (back.any() or off.max() > JITTER) and (rounded := _rounded_step(stamps)) is not None:
-        return factor * rounded
-    if step <= 0 or back.any():
-        row = int(back.argmax()) + 1
-        repeats = 2 * np.count_nonzero(np.diff(time) == 0) > n_samples
-        remedy = (
-            "most times repeat, so they were written with too few digits: write more, or give the time step (dt)"
-            if repeats
-            else "sort the rows, or cut the file into one file a record"
-        )
-        raise InvalidDataError(
-            f"{name} must increase, but goes from {time[row - 1]:.12g} s to {time[row]:.12g} s at row {row + 1} of "
-            f"{n_samples}; {remedy}."
-        )
-    worst = int(off.argmax())
-    if off[worst] > JITTER:
-        raise InvalidDataError(
-            f"{name} is not uniform: with the mean step of {step:.6g} s, row {worst + 1} of {n_samples} lies "
-            f"{off[worst]:.3g} steps off the grid (at most {JITTER} is allowed); resample the record to a uniform "
-            "step, or, if samples were lost, put the lost rows back with empty cells."
-        )
-    return step
-
-
-def _rounded_step(stamps: FloatArray) -> float | None:
-    """Step of a uniform grid that was rounded to the last digit of the stamps, None where rounding does not explain it.
-
-    Rounding leaves two neighbouring lengths of step, the rarer of them at regular distances, and all stamps within half
-    a digit of the grid. One or two odd steps may as well be lost samples: they are not explained by it.
-    """
-    digit = next(
-        (d for d in 10.0 ** -np.arange(-3, 13.0) if np.allclose(stamps / d, np.rint(stamps / d), 0, 1e-4)), None
-    )
-    if digit is None:
-        return None
-    lengths = np.rint(np.diff(stamps) / digit)
-    shortest, longest = lengths.min(), lengths.max()
-    rarer = min(int((lengths == shortest).sum()), int((lengths == longest).sum()))
-    if longest - shortest != 1 or shortest < 0 or rarer < 3:  # one or two odd steps may be lost samples
-        return None
-    count = np.arange(len(stamps)) - 0.5 * (len(stamps) - 1)
-    slope = float(count @ stamps / (count @ count))
-    rest = stamps - slope * count
-    return slope if rest.max() - rest.min() <= ROUNDED_WIDTH * digit else None
 
 
 def _listed(names: Sequence[str]) -> str:

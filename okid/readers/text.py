@@ -6,21 +6,19 @@ fails is the text looked through line by line, to say which cell is at fault.
 The dialect is the one under which the most lines after the first line of numbers are lines of as many numbers. What
 stands before that line is the header (the last line of as many names), a line of units if there is one, and remarks.
 
-A column of stamps of a clock is the time whatever its header says (Datum, Date/Time, Uhrzeit). ISO 8601, its blank in
-place of the T, 2026/05/04, 04.05.2026 12:00:00, and a clock without a date are read; 05/04/2026, which only a country's
-habit tells, is not. Digits stay as written: they say how far a stamp was rounded.
+A column of stamps of a clock is the time whatever its header says (Datum, Date/Time, Uhrzeit), and so are a column of
+dates and one of a clock beside it (`okid.readers.clock`).
 """
 
 import codecs
+import contextlib
 import csv
 import io
 import itertools
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from datetime import date
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, BinaryIO, Final, Literal
 
@@ -28,6 +26,7 @@ import numpy as np
 
 from okid.arrays import FloatArray
 from okid.errors import UnreadableFileError
+from okid.readers.clock import NAME, Clock, find_clock
 from okid.readers.guard import check_channel_count, check_memory, first_line
 from okid.readers.table import Column, LeftOut, Table, unique_names
 from okid.readers.units import looks_like_unit, split_header, with_unit
@@ -101,7 +100,7 @@ _UNITS_WORD = re.compile(r"units?|einheit(?:en)?|unités?|unidad(?:es)?", re.IGN
 _UNITS_ARE = rf"(?:{_UNITS_WORD.pattern})\s*[:=]\s*"
 _COMMENT = re.compile(rf"^\s*(?:(?:#|%|!|//|\*)+\s*(?:{_UNITS_ARE})?|{_UNITS_ARE})", re.IGNORECASE)
 _TIME_UNITS = frozenset(["s", "sec", "second", "seconds", "ms", "msec", "us", "µs", "μs", "min", "h"])
-_TIME_HEADER = re.compile(r"\s*(?:time|t|timestamp|elapsed time|zeit|temps|tiempo|tempo)\b", re.IGNORECASE)
+_TIME_HEADER = re.compile(r"\s*(?:clock_time|time|t|timestamp|elapsed time|zeit|temps|tiempo|tempo)\b", re.IGNORECASE)
 _HEADER_WORD = re.compile(r"[^\s\[(]+(?:\s*[\[(][^\])]*[\])])?")
 
 
@@ -324,11 +323,36 @@ def read_text(path: Path) -> Table:
 
 def _read(file: BinaryIO, head: bytes, path: Path) -> Table:
     size = file.seek(0, io.SEEK_END)
-    if (clocked := _seconds(head, path)) != head:
-        check_memory(path, COPIES_OF_TEXT * size)
-        file.seek(0)
-        file = io.BytesIO(_seconds(file.read(), path))
-        head = clocked
+    with _dates_of(path):
+        clock = find_clock(head)
+        if clock is not None:
+            check_memory(path, COPIES_OF_TEXT * size)
+            file.seek(0)
+            data = clock.seconds(file.read())
+    if clock is None:
+        return _read_cells(file, head, path)
+    return _with_time(_read_cells(io.BytesIO(data), data[: TextLimits.SAMPLE_BYTES], path), clock)
+
+
+def _with_time(table: Table, clock: Clock) -> Table:
+    """The table whose time says what it counts from; it has a name where the file has no header."""
+    name = NAME.decode()
+    index = table.names.index(name) if name in table.names else clock.n_before
+    header = f"{name} [s]" if any(column.header for column in table.columns) else ""
+    time = Column(name=name, unit="s", header=header, origin=float(clock.origin))
+    return replace(table, columns=(*table.columns[:index], time, *table.columns[index + 1 :]))
+
+
+@contextlib.contextmanager
+def _dates_of(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except ValueError as error:
+        raise UnreadableFileError(f"a time stamp in {path.name} is no date ({error}); correct it.") from error
+
+
+def _read_cells(file: BinaryIO, head: bytes, path: Path) -> Table:
+    size = file.seek(0, io.SEEK_END)
     try:
         return _read_numbers(file, head, path)
     except UnreadableFileError:
@@ -430,13 +454,6 @@ def _read_numbers(file: BinaryIO, head: bytes, path: Path) -> Table:
     return Table(path=path, format="text table", columns=tuple(columns), values=values)
 
 
-def _seconds(data: bytes, path: Path, head: bytes | None = None) -> bytes:
-    try:
-        return with_seconds(data, head)
-    except ValueError as error:
-        raise UnreadableFileError(f"a time stamp in {path.name} is no date ({error}); correct it.") from error
-
-
 def table_of_text(data: bytes, path: Path) -> Table:
     """The table of whole lines that were read from a file already; errors as in `read_text`."""
     return _read(io.BytesIO(data), data[: TextLimits.SAMPLE_BYTES], path)
@@ -451,7 +468,10 @@ def more_rows(data: bytes, head: bytes, path: Path, *, n_lines: int) -> FloatArr
         path: of the file, for messages.
         n_lines: that stand before them in the file, for messages.
     """
-    data, head = _seconds(data, path, head), _seconds(head, path)
+    with _dates_of(path):
+        clock = find_clock(head)
+        if clock is not None:
+            data, head = clock.seconds(data, goes_on=True), clock.seconds(head)
     layout = find_layout([_line(raw) for raw in head.splitlines(keepends=True)], file_name=path.name)
     names = [split_header(header)[0] for header in layout.headers] or [str(k) for k in range(layout.n_columns)]
     return _numbers(io.BytesIO(data), replace(layout, first_line=n_lines), names, path)
@@ -536,65 +556,3 @@ def _decoded(data: bytes, encoding: str, path: Path) -> str:
         return data.decode(encoding)
     except UnicodeDecodeError as error:
         raise UnreadableFileError(f"{path.name} is marked as {encoding} text but is damaged ({error}).") from error
-
-
-_DATE = rb"(?:(?P<date>\d{4}(?P<cut>[-/])\d\d(?P=cut)\d\d|\d\d?\.\d\d?\.\d{4})[T ]+)?"
-_CLOCK = rb"(?P<hour>\d\d?):(?P<minute>\d\d):(?P<second>\d\d)(?:[%s](?P<digits>\d{1,9}))?Z?(?P<zone>[+-]\d\d:?\d\d)?"
-_POINT, _COMMA = (
-    re.compile(rb'^[ \t]*"?' + _DATE + _CLOCK % sign + rb'"?(?=[ \t,;\r\n]|\Z)', re.MULTILINE) for sign in (b".", b".,")
-)
-_FIRST_CELL = re.compile(rb'^[#%\s]*("[^"]*"|[^,;\t\r\n]*)')
-
-
-def with_seconds(data: bytes, head: bytes | None = None) -> bytes:
-    r"""The lines with their stamps as seconds, and their header as that of a time; as they are where they have none.
-
-    Args:
-        data: lines of a text table, with those above the table unless `head` is given.
-        head: the first lines of the file that `data` goes on from.
-
-    Example:
-        >>> with_seconds(b"Datum,tip\n2026-05-04 23:59:59.99,1\n2026-05-05 00:00:00.00,2\n")
-        b'time [s],tip\n0.99,1\n1.00,2\n'
-    """
-    sample = data if head is None else head
-    lines = sample[: 1 << 16].splitlines()
-    stamp = _COMMA if any(b";" in line or b"\t" in line for line in lines) else _POINT
-    first = next((k for k, line in enumerate(lines) if stamp.match(line)), None)
-    if first is None or not all(stamp.match(line) for line in lines[first:-1] if line.strip()):
-        return data
-    begin = stamp.match(lines[first])
-    origin = 0 if begin is None else _whole_seconds(begin)
-    comma = stamp is _COMMA and any(re.search(rb"\d,\d", stamp.sub(b"", line)) for line in lines[first:])
-    sign = b"," if comma else b"."  # as the numbers beside it are written
-
-    def seconds(found: re.Match[bytes]) -> bytes:
-        whole = _whole_seconds(found) - origin
-        whole += 86400 if whole < 0 and not found["date"] else 0  # a clock without a date, past midnight
-        return b"%d%s%s" % (whole, sign, found["digits"] or b"0")
-
-    rows = stamp.sub(seconds, data)
-    if head is not None or first == 0:
-        return rows
-    above, below = rows.splitlines(keepends=True)[:first], rows.split(b"\n", first)[first]
-    cell = _FIRST_CELL.match(above[-1])
-    units = first > 1 and cell is not None and cell[1].strip(b'" ')[:1] in (b"", b"[", b"(")
-    names = [b"time", b"s"] if units else [b"time [s]"]
-    for k, name in zip(range(first - len(names), first), names, strict=True):
-        above[k] = _FIRST_CELL.sub(name, above[k], count=1)
-    return b"".join(above) + below
-
-
-def _whole_seconds(found: re.Match[bytes]) -> int:
-    day = _day(found["date"]) if found["date"] else 0
-    zone = (found["zone"] or b"+0000").replace(b":", b"")
-    minutes = 60 * (int(found["hour"]) - int(zone[:3])) + int(found["minute"]) - int(zone[:1] + zone[3:])
-    return 86400 * day + 60 * minutes + int(found["second"])
-
-
-@lru_cache(maxsize=64)
-def _day(text: bytes) -> int:
-    if b"." not in text:
-        return date.fromisoformat(text.decode().replace("/", "-")).toordinal()
-    day, month, year = map(int, text.split(b"."))
-    return date(year, month, day).toordinal()

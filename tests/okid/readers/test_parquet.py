@@ -46,14 +46,14 @@ def test_missing_values_and_kinds_of_numbers(tmp_path):
 
 
 @pytest.mark.parametrize("unit", ["ms", "us", "ns"])
-def test_time_stamps_are_seconds_after_the_first(tmp_path, unit):
+def test_time_stamps_count_from_1970(tmp_path, unit):
     start = dt.datetime(2026, 11, 21, tzinfo=dt.UTC)
     stamps = [start + dt.timedelta(milliseconds=8 * index) for index in range(100)]
     table = pa.table({"time": pa.array(stamps, pa.timestamp(unit, tz="UTC")), "tip": TIP})
     pq.write_table(table, tmp_path / "a.parquet")
     record = read_record(tmp_path / "a.parquet")
     assert record.dt == pytest.approx(0.008, rel=1e-12)
-    assert record.start_time == 0.0
+    assert record.start_time == start.timestamp()
 
 
 @pytest.mark.parametrize("share", [0.3, 0.9, 0.999])

@@ -1,5 +1,7 @@
 """The table of a file: its time step over the whole span, on a uniform grid; names that choose its channels."""
 
+from datetime import UTC, datetime
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -178,8 +180,113 @@ def test_stamps_of_a_clock(tmp_path, head, stamp):
     rows = [f"{stamp.format(f'{t:06.3f}')},{k}" for k, t in enumerate(np.arange(100) / 128.0)]
     path.write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
     record = read_record(path)
-    assert (record.dt, record.start_time) == (pytest.approx(1 / 128, rel=1e-3), 0.0)
+    assert record.dt == pytest.approx(1 / 128, rel=1e-3)
     assert record.outputs[:, 0].tolist() == pytest.approx(np.arange(100.0) * (9.80665 if "[g]" in head else 1.0))
+
+
+def clock_file(tmp_path, header, stamp, cut):
+    """A second and a half around a quarter past twelve, 4 May 2026, then the last column is the row's number."""
+    rows = []
+    for k in range(192):
+        t = k / 128.0
+        point = f"{t % 1.0:.4f}"[1:].replace(".", "," if cut != "," else ".")
+        rows.append(f"{stamp}{cut}{k}".replace("SS", f"{41 + int(t):02d}").replace(".f", point))
+    path = tmp_path / "clock.csv"
+    path.write_text("\n".join([*([header] if header else []), *rows]) + "\n", encoding="utf-8")
+    return path
+
+
+NOON = datetime(2026, 5, 4, 12, 15, 41, tzinfo=UTC).timestamp()
+"""4 May 2026, 12:15:41 UTC [s since 1970]."""
+
+
+@pytest.mark.parametrize(
+    ("header", "stamp", "cut", "start"),
+    [
+        ("Date,Time,tip", "2026-05-04,00:15:SS.f", ",", NOON - 43200),
+        ("Date,Time,tip", "2026-05-04,12:15:SS.f", ",", NOON),
+        ("Date,Time,tip", "05/14/2026,12:15:SS.f PM", ",", NOON + 10 * 86400),
+        ("Date,Time,tip", "14/05/2026,12:15:SS.f", ",", NOON + 10 * 86400),
+        ("Date,Time,tip", "05/04/2026,12:15:SS.f", ",", 44141.0),  # of April or of May: as without a date
+        ("Datum;Uhrzeit;tip", "04.05.2026;12:15:SS.f", ";", NOON),
+        ("Datum;Zeit;tip", "04.05.26;12:15:SS.f", ";", NOON),
+        ("Datum;Zeit;tip\n[TT.MM.JJJJ];[hh:mm:ss];[]", "04.05.2026;12:15:SS.f", ";", NOON),
+        ("Datum;Zeit;tip\nTT.MM.JJJJ;hh:mm:ss;mm", "04.05.2026;12:15:SS.f", ";", NOON),
+        ("Datum;Zeit;tip", "04.05.2026 00:00:00;12:15:SS.f", ";", NOON),
+        ("Heure;Date;tip", "12:15:SS.f;04/05/2026", ";", 44141.0),
+        ("Date;Heure;tip", "4 mai 2026;12:15:SS.f", ";", NOON),
+        ("Date;Heure;tip", "4 août 2026;12:15:SS.f", ";", NOON + 92 * 86400),
+        ("Datum\tZeit\ttip", "4. März 2026\t12:15:SS.f", "\t", NOON - 61 * 86400),
+        ("Date Time tip", "2026-05-04 12:15:SS.f", " ", NOON),
+        ("# Stamp tip", "2026-05-04T12:15:SS.f", " ", NOON),
+        ("Time,tip", "04-May-2026 12:15:SS.f", ",", NOON),
+        ("index,Timestamp,tip", "7,2026-05-04 12:15:SS.fZ", ",", NOON),
+        ('"Date","Time","tip"', '"2026-05-04","12:15:SS.f"', ",", NOON),
+        ("", "2026-05-04 12:15:SS.f", ",", NOON),
+        ("", "2026-05-04,12:15:SS.f", ",", NOON),
+        ("Time,tip", "5/14/2026 12:15:SS.f PM", ",", NOON + 10 * 86400),
+        ("Time,tip", "15:SS.f", ",", 941.0),
+        ("Zeit;tip", "15:SS.f", ";", 941.0),
+        ("Time;tip", "12:15:SS.f", ";", 44141.0),
+    ],
+)
+def test_dates_and_clocks_of_loggers(tmp_path, header, stamp, cut, start):
+    path = clock_file(tmp_path, header, stamp, cut)
+    record = read_record(path, outputs="tip" if header else None)
+    assert record.dt == pytest.approx(1 / 128, rel=1e-6)
+    assert record.start_time == pytest.approx(start, abs=1e-6)
+    scale = 1e-3 if header.endswith("mm") else 1.0
+    assert record.outputs[:, 0].tolist() == pytest.approx(scale * np.arange(192.0))
+
+
+def test_milliseconds_behind_a_colon(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("Time,x\n" + "".join(f"12:00:{k // 100:02d}:{10 * (k % 100):03d},{k % 7}\n" for k in range(300)))
+    assert read_record(path).dt == pytest.approx(0.01, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("stamp", "turns"), [("{:02d}:{:02d}:{:04.1f}", 86400), ("{1:02d}:{2:04.1f}", 3600), ("{1}:{2:04.1f}", 3600)]
+)
+def test_a_clock_goes_round_more_than_once(tmp_path, stamp, turns):
+    """A spreadsheet leaves minutes and seconds of a clock; each hour, or each midnight, it begins again."""
+    time = 0.25 * turns + turns / 50 * np.arange(120)
+    rows = [f"{stamp.format(int(t) // 3600 % 24, int(t) // 60 % 60, t % 60)},{k}" for k, t in enumerate(time)]
+    (tmp_path / "a.csv").write_text("Time,x\n" + "\n".join(rows) + "\n")
+    assert read_record(tmp_path / "a.csv").dt == pytest.approx(turns / 50, rel=1e-9)
+
+
+def test_a_date_that_only_its_neighbour_tells(tmp_path):
+    rows = [f"{'05/04' if k < 4 else '05/05'}/2026,{(23, 59, 56 + k) if k < 4 else (0, 0, k - 4)}" for k in range(9)]
+    rows = [row.replace("(", "").replace(")", "").replace(", ", ":") for row in rows]
+    (tmp_path / "a.csv").write_text("Date,Time,x\n" + "".join(f"{_two(row)},{k}\n" for k, row in enumerate(rows)))
+    record = read_record(tmp_path / "a.csv")
+    assert (record.dt, record.start_time) == (1.0, NOON - 41 + 11 * 3600 + 44 * 60 + 56)
+
+
+def _two(row):
+    day, clock = row.split(",")
+    return f"{day}," + ":".join(f"{int(each):02d}" for each in clock.split(":"))
+
+
+@pytest.mark.parametrize(
+    ("rate", "n_samples", "digits", "within"), [(78.0, 7800, 0, 1.4e-4), (78.0, 46800, 0, 3e-5), (128.0, 1000, 3, 1e-5)]
+)
+def test_rounded_times_tell_the_step_between_two_bounds(tmp_path, rate, n_samples, digits, within):
+    """Many rows under one stamp of whole seconds: the edges tell the step, and how well they do is said."""
+    time = np.floor((0.3417 + np.arange(n_samples) / rate) * 10**digits) / 10**digits
+    rows = "".join(f"2026-05-04 12:{int(t) // 60:02d}:{t % 60:0{digits + 3 if digits else 2}.{digits}f},{k % 7}\n"
+                   for k, t in enumerate(time))  # fmt: skip
+    path = tmp_path / "stamps.csv"
+    path.write_text("Timestamp,x\n" + rows)
+    said = describe_file(path)
+    assert abs(said.dt * rate - 1.0) <= min(within, 1.001 * said.dt_within * rate)
+    assert abs(said.dt * rate - 1.0) < 1e-6
+    assert any("times are rounded" in remark for remark in said.remarks) == (within > 1e-5)
+    if within > 1e-4:
+        with pytest.warns(IdentificationWarning, match=r"rounded.*known to 0\.01% only; .*\(--dt\)"):
+            read_record(path)
+    assert read_record(path, dt=1.0 / rate).dt == 1.0 / rate
 
 
 def test_a_clock_past_midnight_and_one_with_a_comma(tmp_path):
@@ -260,7 +367,8 @@ def test_stamps_that_give_a_date_tell_their_unit(tmp_path, header, first, step, 
     (tmp_path / "a.csv").write_text(f"{header},y\n{rows}")
     record = read_record(tmp_path / "a.csv")
     assert record.dt == pytest.approx(seconds, rel=1e-3)
-    assert record.start_time == pytest.approx(first * seconds / step, rel=1e-9)
+    since = {46349: 25_569, 740_000: 719_529}.get(int(first), 0) if seconds != step else 0
+    assert record.start_time == pytest.approx((first - since) * seconds / step, abs=1e-3)
 
 
 @pytest.mark.parametrize("step", [1, 4000])

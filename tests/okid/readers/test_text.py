@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from okid.errors import IdentificationWarning, InvalidDataError, UnreadableFileError
+from okid.errors import IdentificationWarning, UnreadableFileError
 from okid.readers import describe_file, read_record
 from okid.readers.text import read_text
 
@@ -311,10 +311,15 @@ def test_columns_without_a_name_that_hold_nothing_are_none(tmp_path, head, row):
 
 
 def test_a_date_in_a_column_of_its_own_is_no_reason_to_cut_the_rows_otherwise(tmp_path):
-    rows = "".join(f"23.11.2026;10:00:{k / 1000:06.3f};{k % 7}.5\n".replace(".", ",") for k in range(60))
-    (tmp_path / "a.csv").write_text("Datum;Uhrzeit;ax\n" + rows.replace("23,11,2026", "23.11.2026"))
-    with pytest.raises(InvalidDataError, match=r"columns are ax; 'Datum' was left out: it holds text.*'Uhrzeit'.*--dt"):
-        read_record(tmp_path / "a.csv")
+    rows = "".join(f"23.11.2026;10:00;{k / 1000:06.3f};{k % 7}.5\n".replace(".", ",") for k in range(60))
+    (tmp_path / "a.csv").write_text("Datum;Uhrzeit;t;ax\n" + rows.replace("23,11,2026", "23.11.2026"))
+    record = read_record(tmp_path / "a.csv")
+    assert (record.output_names, record.dt) == (("ax",), pytest.approx(0.001))
+    said = describe_file(tmp_path / "a.csv").remarks
+    assert [remark for remark in said if "it holds text" in remark] == [
+        "Datum left out: it holds text",
+        "Uhrzeit left out: it holds text",
+    ]
 
 
 def test_parentheses_that_hold_no_unit_are_spoken_of_where_the_others_do(tmp_path):
