@@ -122,6 +122,7 @@ def _warn(tables: Sequence[Table], records: Sequence[Record], outputs: Sequence[
         every = [conversion_of(table, index) for index in table.channels()]
         said |= dict.fromkeys(remarks_on([each for each in every if each.channel in used and each.doubtful]))
         left_out = table.left_out if outputs is None else ()  # who names the outputs misses none
+        said |= dict.fromkeys(f"{table.path.name}: {doubt}" for doubt in table.doubts)
         said |= {f"{left.name} was left out: {left.reason}": None for left in left_out if TRANSPOSED in left.reason}
     for sentence in said:
         warnings.warn(f"{sentence}.", IdentificationWarning, stacklevel=3)

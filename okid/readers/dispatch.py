@@ -124,6 +124,7 @@ class FileDescription:
         outputs: likewise.
         left_out: what else is in the file, and why it is no channel.
         dt_within: how far the time step may be off, because the file's times are rounded [s].
+        doubts: where the file contradicts itself in a unit, and which one was taken.
     """
 
     path: Path
@@ -135,11 +136,12 @@ class FileDescription:
     outputs: tuple[str, ...] | None
     left_out: tuple[LeftOut, ...]
     dt_within: float = 0.0
+    doubts: tuple[str, ...] = ()
 
     @property
     def remarks(self) -> tuple[str, ...]:
         """One sentence for each way in which units were converted or kept; channels treated alike share one."""
-        remarks = remarks_on([each for each in self.channels if each.changed or each.note])
+        remarks = [*self.doubts, *remarks_on([each for each in self.channels if each.changed or each.note])]
         if self.dt and self.dt_within > WORTH_SAYING * self.dt:
             remarks.append(f"its times are rounded, so dt is known to {100.0 * self.dt_within / self.dt:.2g} %")
         return (*remarks, *(f"{left.name} left out: {left.reason}" for left in self.left_out))
@@ -175,6 +177,7 @@ def describe_table(table: Table, *, dt: float | None = None) -> FileDescription:
         n_samples=table.n_samples,
         dt=step,
         dt_within=within,
+        doubts=table.doubts,
         channels=tuple(conversion_of(table, index) for index in table.channels()),
         inputs=table.inputs,
         outputs=table.outputs,
@@ -276,6 +279,7 @@ def _joined(tables: Sequence[Table], held: Sequence[frozenset[str]]) -> Table:
         inputs=tuple(name for table in tables for name in table.inputs or ()) if len(stated) == len(tables) else None,
         outputs=tuple(name for table in stated for name in table.outputs or ()) if len(stated) == len(tables) else None,
         left_out=tuple(left for table in tables for left in table.left_out),
+        doubts=tuple(doubt for table in tables for doubt in table.doubts),
     )
 
 

@@ -80,6 +80,7 @@ class Table:
         inputs: names of the inputs if the file tells them apart, else None.
         outputs: likewise.
         left_out: what else the file holds.
+        doubts: what is doubtful of its units, one sentence each, without a full stop.
     """
 
     path: Path
@@ -92,6 +93,7 @@ class Table:
     inputs: tuple[str, ...] | None = None
     outputs: tuple[str, ...] | None = None
     left_out: tuple[LeftOut, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     @property
     def n_samples(self) -> int:

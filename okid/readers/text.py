@@ -29,7 +29,7 @@ from okid.errors import UnreadableFileError
 from okid.readers.clock import NAME, Clock, find_clock
 from okid.readers.guard import check_channel_count, check_memory, first_line
 from okid.readers.table import Column, LeftOut, Table, unique_names
-from okid.readers.units import looks_like_unit, split_header, with_unit
+from okid.readers.units import convert_unit, looks_like_unit, split_header, with_unit
 
 MISSING = (
     *("", "nan", "NaN", "NAN", "-nan", "NA", "N/A", "n/a", "#N/A", "null", "NULL", "None"),
@@ -113,12 +113,14 @@ class TextLayout:
         first_line: index of the first line of numbers.
         headers: one a column, with their units; () if the table has no header.
         n_columns: number of columns.
+        doubts: one sentence for each unit in a row of units that is another than the one in the name's brackets.
     """
 
     dialect: Dialect
     first_line: int
     headers: tuple[str, ...]
     n_columns: int
+    doubts: tuple[str, ...] = ()
 
 
 def find_layout(lines: Sequence[str], *, file_name: str) -> TextLayout:
@@ -140,8 +142,8 @@ def find_layout(lines: Sequence[str], *, file_name: str) -> TextLayout:
             "of numbers, one row a sample, one column a channel; export the samples themselves."
         )
     _, dialect, (first_line, n_columns) = max(found, key=lambda candidate: candidate[0])
-    headers = _headers(lines, first_line, n_columns, dialect, file_name)
-    return TextLayout(dialect=dialect, first_line=first_line, headers=headers, n_columns=n_columns)
+    headers, doubts = _headers(lines, first_line, n_columns, dialect, file_name)
+    return TextLayout(dialect=dialect, first_line=first_line, headers=headers, n_columns=n_columns, doubts=doubts)
 
 
 def _start(lines: Sequence[str], dialect: Dialect) -> tuple[int, int] | None:
@@ -174,10 +176,11 @@ def _score(lines: Sequence[str], dialect: Dialect, start: tuple[int, int]) -> tu
 
 def _headers(
     lines: Sequence[str], first_line: int, n_columns: int, dialect: Dialect, file_name: str
-) -> tuple[str, ...]:
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The headers, and what is doubtful of their units."""
     above = [(number, line) for number, line in enumerate(lines[:first_line], start=1) if line.strip()]
     if not above:
-        return ()
+        return (), ()
     number, last = above[-1]
     names = _names_in(last, n_columns, dialect)
     cells = split_cells(last, dialect)
@@ -193,29 +196,54 @@ def _headers(
                 f"line {number} of {file_name} names {count} columns, but the rows below it hold {n_columns} numbers; "
                 "give every column a name."
             )
-        return ()
+        return (), ()
     if any(is_number(cell, dialect) and not cell.isdigit() for cell in names):  # a damaged row, and no names
         _refuse_text(cells, [f"column_{index}" for index in range(n_columns)], number, dialect, file_name)
     rows = [names, *(_names_in(line, n_columns, dialect) for _, line in above[-2::-1])]
     if rows[1:] and rows[1] and _is_header(rows[1], dialect) and not _is_header(names, dialect):
         _refuse_text(names, rows[1], number, dialect, file_name)
-    return _with_units(rows, dialect) if _is_header(names, dialect) else tuple(names)
+    return _with_units(rows, dialect) if _is_header(names, dialect) else (tuple(names), ())
 
 
-def _with_units(rows: Sequence[list[str] | None], dialect: Dialect) -> tuple[str, ...]:
-    """The headers that rows of names and units make up, the lowest first: below the units sensors may be named."""
+def _with_units(rows: Sequence[list[str] | None], dialect: Dialect) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The headers that rows of names and units make up, the lowest first, and what is doubtful of them.
+
+    Below the units sensors may be named.
+    """
     pairs = [(low, high) for low, high in itertools.pairwise(rows[:3]) if low and high and _is_header(low, dialect)]
     lowest = rows[0] or []  # or above the names, in a row or a remark: a unit of time over a time, or nothing there
     above = [row for row in rows[1:] if lowest and row and len(row) > 1 and all(map(_stands_over, lowest, row))]
     for units, titles in (*pairs, *((row, lowest) for row in above)):
         if _is_units_row(titles, units):
             cells = [None if _UNITS_WORD.fullmatch(cell) else cell.strip("[]() ") for cell in units]
-            return tuple(with_unit(*both, stays=units in above) for both in zip(titles, cells, strict=True))
+            pairs_of = list(zip(titles, cells, strict=True))
+            headers = tuple(with_unit(*both, stays=units in above) for both in pairs_of)
+            said = (_unit_doubt(*both, header) for both, header in zip(pairs_of, headers, strict=True))
+            return headers, tuple(doubt for doubt in said if doubt)
     for low, high in pairs[:1]:
         times = [_is_time(*split_header(cell)) and not sensor for cell, sensor in zip(high, low, strict=True)]
         if any(times) and all(split_header(cell)[1] for cell in high):
-            return tuple(high)
-    return tuple(lowest)
+            return tuple(high), ()
+    return tuple(lowest), ()
+
+
+def _unit_doubt(name: str, unit: str | None, header: str) -> str:
+    """What a reader must know where a row of units contradicts the unit in a name's brackets; "" where it does not.
+
+    Example:
+        >>> _unit_doubt("tip [mm]", "m", "tip [mm] [m]")
+        "'tip' is in 'mm' by its own header and in 'm' by the row of units; 'm' was taken"
+        >>> _unit_doubt("tip [mm]", "Millimeter", "tip [mm] [Millimeter]")
+        ''
+    """
+    own_name, own = split_header(name)
+    if not unit or own == unit or not looks_like_unit(own) or not looks_like_unit(unit):
+        return ""
+    first, second = convert_unit(own_name, own), convert_unit(own_name, unit)
+    if (first.unit, first.factor, first.offset) == (second.unit, second.factor, second.offset):
+        return ""
+    taken = split_header(header)[1]
+    return f"{own_name!r} is in {own!r} by its own header and in {unit!r} by the row of units; {taken!r} was taken"
 
 
 def _is_header(cells: Sequence[str], dialect: Dialect) -> bool:
@@ -451,7 +479,7 @@ def _read_numbers(file: BinaryIO, head: bytes, path: Path) -> Table:
         keep = [k for k, header in enumerate(headers) if header or not np.isnan(values[:, k]).all()]
         if len(keep) < len(headers):
             columns, values = [columns[k] for k in keep], values[:, keep]
-    return Table(path=path, format="text table", columns=tuple(columns), values=values)
+    return Table(path=path, format="text table", columns=tuple(columns), values=values, doubts=layout.doubts)
 
 
 def table_of_text(data: bytes, path: Path) -> Table:

@@ -247,7 +247,7 @@ LOGGERS = {  # what stands above the rows of three numbers, the numbers' delimit
         *("# units: s, g, kN\n# by a logger, on Monday\n#\ntime,a,F\n", ",", "."),
         {"a": "m/s^2", "F": "N"},
     ),
-    "units above and beside": ("s,kN,g\ntime [s],force [N],a1\n", ",", ".", {"force": "N", "a1": "m/s^2"}),
+    "units above and beside": ("s,N,g\ntime [s],force [N],a1\n", ",", ".", {"force": "N", "a1": "m/s^2"}),
     "names of sensors below names with units": (
         *("Zeit [s];Beschl [g];Kraft [kN]\n;Sensor 1;Sensor 2\n", ";", ","),
         {"Beschl": "m/s^2", "Kraft": "N"},

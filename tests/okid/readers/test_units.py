@@ -1,13 +1,14 @@
 """Units: factors from their definitions (exact by NIST SP 811, appendix B), rules for what means two things."""
 
+import re
 import subprocess
 import sys
 
 import numpy as np
 import pytest
 
-from okid.errors import UnreadableFileError
-from okid.readers import units
+from okid.errors import IdentificationWarning, UnreadableFileError
+from okid.readers import describe_file, read_record, units
 from okid.readers.table import unique_names
 from okid.readers.units import convert_unit, split_header, unit_error
 
@@ -359,3 +360,37 @@ def test_parentheses_of_loggers_are_units_that_are_not_read_and_a_level_is_no_cu
     assert "kept as it is" in convert_unit(*split_header("strain (ue)")).note
     assert split_header("a (mG)") == ("a", "mG")
     assert split_header("dB(A)") == ("dB(A)", "")
+
+
+@pytest.mark.parametrize(
+    ("head", "said"),
+    [
+        (
+            "Time [s],tip [mm]\ns,m\n",
+            "'tip' is in 'mm' by its own header and in 'm' by the row of units; 'm' was taken",
+        ),
+        (
+            "s,m\nTime [s],tip [mm]\n",
+            "'tip' is in 'mm' by its own header and in 'm' by the row of units; 'mm' was taken",
+        ),
+        ("Time [ms],tip\ns,m\n", "'Time' is in 'ms' by its own header and in 's' by the row of units; 's' was taken"),
+        ("Time [s],tip [mm]\ns,mm\n", ""),
+        ("Time [s],tip [mm]\ns,Millimeter\n", ""),
+        ("Time [s],tip (left)\ns,mm\n", ""),
+    ],
+)
+def test_a_row_of_units_that_contradicts_a_name_is_said(tmp_path, head, said):
+    path = tmp_path / "a.csv"
+    path.write_text(head + "".join(f"{k / 100:.2f},{k % 7}\n" for k in range(60)))
+    if not said:
+        assert not describe_file(path).doubts
+        read_record(path)
+        return
+    assert said in describe_file(path).remarks
+    with pytest.warns(IdentificationWarning, match=re.escape(f"a.csv: {said}.")):
+        record = read_record(path)
+    taken = re.search(r"'(\w+)' was taken", said)[1]
+    if "'tip'" in said:
+        assert record.outputs[1, 0] == {"m": 1.0, "mm": 1e-3}[taken]
+    else:
+        assert record.dt == pytest.approx(0.01)
