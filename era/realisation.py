@@ -22,6 +22,7 @@ import numpy as np
 from okid.arrays import FloatArray, frozen, time_step, whole_number
 from okid.display import Displayed
 from okid.errors import IdentificationWarning, InvalidDataError
+from okid.record import labels
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -97,6 +98,8 @@ class Realisation(Displayed):
         singular_values: of the scaled block Hankel matrix, all that were computed; empty after `from_control`.
         factors: Hankel factors of this order, None when the model did not come from data.
         lead: samples by which the model looks ahead in its inputs.
+        input_names: one an input; () where they have none.
+        output_names: one an output; () where they have none.
 
     Raises:
         InvalidDataError: matrices that do not fit together, values that are not finite, dt that is not positive, a
@@ -117,6 +120,8 @@ class Realisation(Displayed):
     singular_values: FloatArray = ()  # type: ignore[assignment]  # an array once constructed
     factors: HankelFactors | None = None
     lead: int = 0
+    input_names: tuple[str, ...] = ()
+    output_names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -132,6 +137,9 @@ class Realisation(Displayed):
             set_(self, "K", frozen(self.K, name="K", shape=(order, n_outputs)))
         set_(self, "singular_values", frozen(self.singular_values, name="singular_values", shape=(None,)))
         set_(self, "dt", time_step(self.dt))
+        for kind, count in (("input", n_inputs), ("output", n_outputs)):
+            names = getattr(self, f"{kind}_names")
+            set_(self, f"{kind}_names", labels(names, count, kind, named=True) if len(names) else ())
         if self.factors is not None and self.factors.observability.shape[1] != order:
             raise InvalidDataError(
                 f"the Hankel factors must be those of the model's order {order}, but hold "
@@ -190,6 +198,8 @@ class Realisation(Displayed):
             singular_values=self.singular_values,
             factors=self.factors.truncated(order),
             lead=self.lead,
+            input_names=self.input_names,
+            output_names=self.output_names,
         )
 
     def to_control(self, *, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None) -> "StateSpace":
@@ -198,8 +208,8 @@ class Realisation(Displayed):
         Of a model that looks ahead it is that of the inputs ahead, with a warning: no causal system has the lead.
 
         Args:
-            inputs: names that its inputs get, such as `record.input_names`.
-            outputs: names that its outputs get.
+            inputs: names that its inputs get; its own unless given.
+            outputs: names that its outputs get; its own unless given.
         """
         return to_control(self, inputs=inputs, outputs=outputs)
 
@@ -216,7 +226,7 @@ class Realisation(Displayed):
 def to_control(
     realisation: Realisation, *, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None
 ) -> Any:
-    """`control.StateSpace` with the same matrices and time step, its channels named if names are given.
+    """`control.StateSpace` with the same matrices and time step; its channels are named as given, else as the model's.
 
     Example:
         >>> system = to_control(Realisation([[0.5]], [[1.0]], [[2.0]], [[0.0]], 0.01), inputs=["force"])
@@ -227,7 +237,8 @@ def to_control(
 
     model = realisation
     warn_of_lead(model)
-    named = {"inputs": inputs and list(inputs), "outputs": outputs and list(outputs)}
+    own = inputs or model.input_names, outputs or model.output_names
+    named = {"inputs": list(own[0]) or None, "outputs": list(own[1]) or None}
     return control.StateSpace(model.A, model.B, model.C, model.D, model.dt, remove_useless_states=False, **named)
 
 
@@ -243,7 +254,9 @@ def warn_of_lead(realisation: Realisation) -> None:
 
 
 def from_control(system: object) -> Realisation:
-    """Realisation of a discrete-time linear system of python-control.
+    """Realisation of a discrete-time linear system of python-control, with the names of its channels.
+
+    Names that the package gave itself, u[0] and y[0], are none.
 
     Args:
         system: `control.StateSpace`, or a transfer function that `control.ss` can convert.
@@ -279,4 +292,9 @@ def from_control(system: object) -> Realisation:
             "control.ss(A, B, C, D, 0.01)."
         )
     A, B, C, D = (np.asarray(part, dtype=np.float64) for part in (given.A, given.B, given.C, given.D))
-    return Realisation(A, B, C, D, float(dt))
+    into, out = _own(given.input_labels, "u"), _own(given.output_labels, "y")
+    return Realisation(A, B, C, D, float(dt), input_names=into, output_names=out)
+
+
+def _own(names: Sequence[str], letter: str) -> tuple[str, ...]:
+    return () if list(names) == [f"{letter}[{k}]" for k in range(len(names))] else tuple(names)

@@ -6,10 +6,13 @@ And how it is copied and pickled: numpy makes arrays writable again, and a copy 
 import html
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from typing import Any, ClassVar, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 import numpy.typing as npt
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 
 class DisplayLimits:
@@ -148,3 +151,25 @@ def _lines(rows: list[tuple[str, str]]) -> list[str]:
     rows = _cut(rows)
     wide = max(len(name) for name, _ in rows)
     return [f"  {name:{wide}}  {value if len(value) <= 80 else f'{value[:77]}...'}" for name, value in rows]
+
+
+def table_of_columns(columns: Mapping[str, tuple[Any, str]]) -> "pa.Table":
+    """An Arrow table of columns by name, each with its values and their unit, which stands in its metadata.
+
+    Example:
+        >>> table_of_columns({"frequency": ([1.0, 2.0], "Hz")}).schema.field("frequency").metadata
+        {b'unit': b'Hz'}
+    """
+    import pyarrow as pa
+
+    arrays = [pa.array(values) for values, _ in columns.values()]
+    units = [{"unit": unit} if unit else None for _, unit in columns.values()]
+    fields = [
+        pa.field(name, array.type, metadata=unit) for name, array, unit in zip(columns, arrays, units, strict=True)
+    ]
+    return pa.table(arrays, schema=pa.schema(fields))
+
+
+def complex_lists(columns: npt.NDArray[np.complex128]) -> list[list[dict[str, float]]]:
+    """Each column as a list of {real, imaginary}: Arrow knows no complex numbers."""
+    return [[{"real": z.real, "imaginary": z.imag} for z in column] for column in columns.T.tolist()]

@@ -16,17 +16,21 @@ References:
 
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, replace
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from okid.arrays import ComplexArray, FloatArray, frozen, real_number, require, time_step, whole_number
-from okid.display import Displayed, first_names
+from okid.display import Displayed, first_names, table_of_columns
 from okid.errors import InsufficientDataError, InvalidDataError, encodable
+from okid.least_squares import total_least_squares
 from okid.markov import MarkovParameters
 from okid.record import Record, check_names, labels
 from okid.rows import as_records, runs_of
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 FEWEST_AVERAGES = 8
 """Leave so many independent segments, about, where nobody says how long one is: coherence needs several."""
@@ -149,6 +153,27 @@ class FrequencyResponse(Displayed):
     def n_inputs(self) -> int:
         """Number of inputs (references)."""
         return len(self.input_names)
+
+    def to_table(self) -> "pa.Table":
+        """A line a row, for pandas, polars or a file: `.to_pandas()`, `polars.from_arrow(table)`.
+
+        Returns:
+            Columns frequency [Hz] and, for each output and input, `tip/hammer re` and `tip/hammer im`, then
+            `tip/hammer coherence` (`tip coherence` where it is multiple); units in the metadata of each.
+        """
+        columns: dict[str, tuple[Any, str]] = {"frequency": (self.frequencies, "Hz")}
+        pairs = [(o, i) for o in range(self.n_outputs) for i in range(self.n_inputs)]
+        names = {(o, i): f"{self.output_names[o]}/{self.input_names[i]}" for o, i in pairs}
+        for o, i in pairs:
+            out, into = self.output_units[o], self.input_units[i]
+            unit = f"{out or 1}/{into}" if into else out
+            columns[f"{names[o, i]} re"] = (self.response[:, o, i].real, unit)
+            columns[f"{names[o, i]} im"] = (self.response[:, o, i].imag, unit)
+        if self.coherence is not None:
+            shares = self.coherence.reshape(self.n_lines, -1)  # (n_lines, n_outputs) or one reference at a time
+            labelled = names.values() if self.coherence.ndim == 3 else self.output_names
+            columns |= {f"{name} coherence": (share, "") for name, share in zip(labelled, shares.T, strict=True)}
+        return table_of_columns(columns)
 
     def mode_indicator(self) -> FloatArray:
         """Complex mode indicator function (CMIF): singular values of the response at each line, greatest first.
@@ -537,7 +562,7 @@ def estimate_response(
         with np.errstate(divide="ignore", invalid="ignore"):
             response = response / multiple[:, :, np.newaxis]
     elif estimator == "Hv":
-        response = _total_least_squares(spectra, response)
+        response = total_least_squares(spectra.inputs, spectra.cross, spectra.power, response)
     return FrequencyResponse(
         np.where(np.isfinite(response), response, np.nan),
         spectra.frequencies,
@@ -562,28 +587,6 @@ def _block_samples(records: Sequence[Record], window: str, n_samples: int | None
     if window == "exponential":
         return min(record.n_samples for record in records)
     return segment_length(records)
-
-
-def _total_least_squares(spectra: AveragedSpectra, response: ComplexArray) -> ComplexArray:
-    """Hv: of each output with all inputs, channels at unit power, the direction of least power is what does not fit."""
-    n_inputs = spectra.inputs.shape[1]
-    known = np.flatnonzero(np.isfinite(response).all(axis=(1, 2)))
-    found = np.full_like(response, np.nan)
-    size = np.sqrt(spectra.power[known])
-    for output in range(response.shape[1]):
-        scale = np.concatenate([size[:, :n_inputs], size[:, [n_inputs + output]]], axis=1)
-        matrix = np.empty((known.size, n_inputs + 1, n_inputs + 1), dtype=np.complex128)
-        matrix[:, :n_inputs, :n_inputs] = spectra.inputs[known]
-        matrix[:, n_inputs, :n_inputs] = spectra.cross[known, output]
-        matrix[:, :n_inputs, n_inputs] = spectra.cross[known, output].conj()
-        matrix[:, n_inputs, n_inputs] = spectra.power[known, n_inputs + output]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            matrix /= scale[:, :, np.newaxis] * scale[:, np.newaxis]
-            matrix = np.nan_to_num(matrix)
-            # v^H [u; y] ~ 0 for the eigenvector of least power, so y = -conj(v_u) u / conj(v_y)
-            least = np.linalg.eigh(matrix)[1][:, :, 0] / scale
-            found[known, output] = -(least[:, :n_inputs] / least[:, [n_inputs]]).conj()
-    return found
 
 
 def _complete_runs(records: Sequence[Record]) -> list[tuple[Record, int, int]]:

@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from okid.arrays import TINY, BoolArray, FloatArray, real_number
+from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray, real_number
 from okid.errors import InvalidDataError
 from okid.gram import LagGram
 from okid.record import Record
@@ -396,3 +396,34 @@ def _check_ridge(ridge: float) -> None:
     number = real_number(ridge)
     if not (np.isfinite(number) and number >= 0.0):
         raise InvalidDataError(f"a ridge must be a number of at least 0, but is {ridge!r}; 0.01 is a strong one.")
+
+
+def total_least_squares(
+    inputs: ComplexArray, cross: ComplexArray, power: FloatArray, response: ComplexArray
+) -> ComplexArray:
+    """Hv: of each output with all inputs, channels at unit power, the direction of least power is what does not fit.
+
+    Args:
+        inputs: (n_lines, n_inputs, n_inputs) spectra of the inputs.
+        cross: (n_lines, n_outputs, n_inputs) of outputs with inputs.
+        power: (n_lines, n_inputs + n_outputs) of all channels.
+        response: (n_lines, n_outputs, n_inputs) of another estimator; lines where it is not finite stay unknown.
+    """
+    n_inputs = inputs.shape[1]
+    known = np.flatnonzero(np.isfinite(response).all(axis=(1, 2)))
+    found = np.full_like(response, np.nan)
+    size = np.sqrt(power[known])
+    for output in range(response.shape[1]):
+        scale = np.concatenate([size[:, :n_inputs], size[:, [n_inputs + output]]], axis=1)
+        matrix = np.empty((known.size, n_inputs + 1, n_inputs + 1), dtype=np.complex128)
+        matrix[:, :n_inputs, :n_inputs] = inputs[known]
+        matrix[:, n_inputs, :n_inputs] = cross[known, output]
+        matrix[:, :n_inputs, n_inputs] = cross[known, output].conj()
+        matrix[:, n_inputs, n_inputs] = power[known, n_inputs + output]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            matrix /= scale[:, :, np.newaxis] * scale[:, np.newaxis]
+            matrix = np.nan_to_num(matrix)
+            # v^H [u; y] ~ 0 for the eigenvector of least power, so y = -conj(v_u) u / conj(v_y)
+            least = np.linalg.eigh(matrix)[1][:, :, 0] / scale
+            found[known, output] = -(least[:, :n_inputs] / least[:, [n_inputs]]).conj()
+    return found

@@ -15,7 +15,7 @@ import os
 import types
 import zipfile
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
@@ -119,6 +119,14 @@ class Identification(Displayed):
     record_kind: RecordKind | None = None
     response: FrequencyResponse | None = None
     input_delay: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        """The realisation is of these channels, whatever stage made it."""
+        Displayed.__post_init__(self)
+        model, known = self.realisation, self.channels
+        if (model.n_inputs, model.n_outputs) == (len(known.input_names), len(known.output_names)):
+            named = replace(model, input_names=known.input_names, output_names=known.output_names)
+            object.__setattr__(self, "realisation", named)
 
     def display_rows(self) -> list[tuple[str, str]]:
         """The records, the fits, the modes of the system, and what the reader must know."""

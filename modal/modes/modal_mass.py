@@ -12,6 +12,7 @@ have real shapes, so the phases tell a wrong `input_hold` wherever it matters: t
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,10 +23,13 @@ from modal.modes.mode import ModalModel, Mode
 from modal.modes.response_synthesis import continuous_residue
 from modal.wording.text import NINETY_FIVE
 from okid.arrays import ComplexArray, FloatArray, frozen
-from okid.display import Displayed
+from okid.display import Displayed, complex_lists, table_of_columns
 from okid.errors import IdentificationWarning, InvalidDataError
 from okid.frequency_response import FrequencyResponse
 from okid.record import InputHold, Record
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 DERIVATIVES = {"m": 0, "rad": 0, "m/s": 1, "rad/s": 1, "m/s^2": 2, "rad/s^2": 2}
 """Divide the residue of a channel in this unit so many times by the pole to get that of a displacement."""
@@ -50,6 +54,8 @@ class ScaledShapes(Displayed):
         modal_mass: (n_modes,) [kg] of the shape whose largest component is 1; nan likewise.
         modal_mass_std: (n_modes,) [kg]; nan where not known.
         driving_point: names of the output and the input at one place and in one direction.
+        names: of the outputs.
+        frequencies: (n_modes,) of the modes [Hz].
     """
 
     shapes: ComplexArray
@@ -57,6 +63,25 @@ class ScaledShapes(Displayed):
     modal_mass: FloatArray
     modal_mass_std: FloatArray
     driving_point: tuple[str, str]
+    names: tuple[str, ...] = ()
+    frequencies: FloatArray = ()  # type: ignore[assignment]  # an array from `normalise_shapes`
+
+    def to_table(self) -> "pa.Table":
+        """A mode a row, for pandas, polars or a file: `.to_pandas()`, `polars.from_arrow(table)`.
+
+        Returns:
+            Columns frequency [Hz] where it is known, modal_mass [kg], its standard deviation, shape (a list of
+            {real, imaginary}, one an output) and shape_std [1/kg^0.5]; output names and driving point in the metadata.
+        """
+        columns: dict[str, tuple[Any, str]] = {"frequency": (self.frequencies, "Hz")} if len(self.frequencies) else {}
+        columns |= {
+            "modal_mass": (self.modal_mass, "kg"),
+            "modal_mass_std": (self.modal_mass_std, "kg"),
+            "shape": (complex_lists(self.shapes), "1/kg^0.5"),
+            "shape_std": (self.shapes_std.T.tolist(), "1/kg^0.5"),
+        }
+        known = {"output_names": "\n".join(self.names), "driving_point": "\n".join(self.driving_point)}
+        return table_of_columns(columns).replace_schema_metadata(known)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
@@ -185,6 +210,8 @@ def normalise_shapes(model: ModalModel, *, driving_point: tuple[str, str]) -> Sc
         modal_mass=mass,
         modal_mass_std=of_largest * mass,
         driving_point=driving_point,
+        names=model.output_names,
+        frequencies=model.frequencies,
     )
 
 

@@ -20,7 +20,7 @@ import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -29,10 +29,13 @@ import scipy
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel, Mode
 from okid.arrays import BoolArray, ComplexArray, FloatArray, frozen_with_gaps
-from okid.display import Displayed
+from okid.display import Displayed, table_of_columns
 from okid.errors import InvalidDataError, UnreadableFileError
 from okid.readers.arrays import array_of
 from okid.readers.guard import check_file, check_memory, foreign, optional_package, sound_archive
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 IndexArray = npt.NDArray[np.intp]
 
@@ -263,6 +266,13 @@ class ModePairs(Displayed):
     assurance_std: FloatArray
     only_first: tuple[int, ...]
     only_second: tuple[int, ...]
+
+    def to_table(self) -> "pa.Table":
+        """A pair a row, then each mode left alone: columns first and second (indices), assurance, assurance_std."""
+        rows = [(*pair, *size) for pair, *size in zip(self.pairs, self.assurance, self.assurance_std, strict=True)]
+        rows += [*((k, None, None, None) for k in self.only_first), *((None, k, None, None) for k in self.only_second)]
+        names = ("first", "second", "assurance", "assurance_std")
+        return table_of_columns({name: ([row[k] for row in rows], "") for k, name in enumerate(names)})
 
 
 def assurance(

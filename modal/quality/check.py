@@ -1,8 +1,8 @@
 """The whole check: every look at the records, and what it says: the findings sorted, the numbers of each channel."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -48,11 +48,14 @@ from modal.quality.channels import (
 from modal.quality.coherence import Shares, coherence_findings, explained_share, modelled_share
 from modal.quality.inputs import copy_findings, excitation_findings, timing_findings, together_findings
 from okid.arrays import BoolArray, FloatArray, with_numbers
-from okid.display import Displayed
+from okid.display import Displayed, table_of_columns
 from okid.frequency_response import FEWEST_AVERAGES, AveragedSpectra, averaged_spectra, segment_length
 from okid.record import Record
 from okid.rows import as_records, refuse_copies
 from okid.scaling import channel_scaling
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
@@ -134,6 +137,23 @@ class DataQuality(Displayed):
     def level(self) -> Level | Literal["good"]:
         """The worst level among the findings; "good" where nothing but notes was found."""
         return _worst(self.findings)
+
+    def to_table(self) -> "pa.Table":
+        """A channel a row, for pandas, polars or a file: `.to_pandas()`, `polars.from_arrow(table)`.
+
+        Returns:
+            Columns name, role, unit, level, the numbers of `ChannelStatistics` (in the unit of their row), and
+            findings: a list of sentences, the worst first.
+        """
+        rows = self.channels
+        columns: dict[str, tuple[Any, str]] = {
+            name: ([getattr(row, name) for row in rows], "") for name in ("name", "role", "unit", "level")
+        }
+        for each in fields(ChannelStatistics):
+            unit = "dB" if each.name == "signal_to_noise" else ""
+            columns[each.name] = ([getattr(row.statistics, each.name) for row in rows], unit)
+        columns["findings"] = ([[finding.sentence for finding in row.findings] for row in rows], "")
+        return table_of_columns(columns)
 
     @property
     def verdict(self) -> str:

@@ -1,5 +1,7 @@
 """The realisation type: what it refuses, what it freezes, and the road to and from python-control."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from systems import markov, random_system
@@ -92,6 +94,20 @@ def test_round_trip_through_control(order):
     assert back.K is None
     assert back.factors is None
     assert back.singular_values.size == 0
+
+
+def test_names_of_channels_survive_the_way_to_control_and_back():
+    model = replace(model_of(order=4), input_names=("shaker", "hammer"), output_names=("tip", "mid", "root"))
+    system = model.to_control()
+    assert (system.input_labels, system.output_labels) == (["shaker", "hammer"], ["tip", "mid", "root"])
+    back = Realisation.from_control(system)
+    assert (back.input_names, back.output_names) == (model.input_names, model.output_names)
+    assert model.truncated(2).output_names == model.output_names
+    assert model.to_control(inputs=["a", "b"]).input_labels == ["a", "b"]
+    plain = Realisation.from_control(model_of().to_control())
+    assert (plain.input_names, plain.output_names) == ((), ())
+    with pytest.raises(InvalidDataError, match="2 output names were given for 3 outputs"):
+        replace(model, output_names=("a", "b"))
 
 
 def test_states_that_nothing_drives_survive_the_way_to_control():

@@ -9,6 +9,7 @@ import pyarrow as pa
 import pytest
 
 from okid.display import Displayed
+from okid.frequency_response import FrequencyResponse
 from okid.record import Record
 
 
@@ -105,3 +106,19 @@ def test_nobody_writes_to_a_result_and_whoever_made_an_array_still_may():
     with pytest.raises(ValueError, match="read-only"):
         holder.first[0] = 1.0
     mine[0] = 2.0
+
+
+def test_a_frequency_response_goes_to_a_table_with_units_and_coherence():
+    response = np.arange(12.0).reshape(3, 2, 2) + 1j
+    table = FrequencyResponse(
+        response, [0.0, 1.0, 2.0], coherence=np.full((3, 2), 0.5), input_names=["a", "b"], output_names=["tip", "mid"],
+        input_units=["N", "N"], output_units=["m", ""],
+    ).to_table()  # fmt: skip
+    assert table.column_names[:3] == ["frequency", "tip/a re", "tip/a im"]
+    assert table.column_names[-2:] == ["tip coherence", "mid coherence"]
+    assert table.column("mid/b re").to_pylist() == response[:, 1, 1].real.tolist()
+    units = {field.name: (field.metadata or {}).get(b"unit", b"").decode() for field in table.schema}
+    assert (units["frequency"], units["tip/a im"], units["mid/a im"]) == ("Hz", "m/N", "1/N")
+    one = FrequencyResponse(response, [0.0, 1.0, 2.0], coherence=np.full((3, 2, 2), 0.5)).to_table()
+    assert one.column("output_1/input_0 coherence").to_pylist() == [0.5] * 3
+    assert not one.schema.field("output_0/input_0 re").metadata

@@ -9,7 +9,7 @@ import scipy
 import modal
 from era.realisation import Realisation
 from modal.modes.extraction import extract_modes
-from modal.modes.modal_mass import base_participation, normalise_shapes
+from modal.modes.modal_mass import ScaledShapes, base_participation, normalise_shapes
 from modal.modes.mode import ModalModel, Mode
 from okid.errors import IdentificationWarning, InvalidDataError
 
@@ -250,3 +250,17 @@ def test_a_mode_that_no_measured_force_drives_has_no_mass_and_no_wrong_sign():
     undriven = dataclasses.replace(model.modes[1], participation=np.zeros(1), mass_std=None)
     model = dataclasses.replace(model, modes=(model.modes[0], undriven, model.modes[2]))
     assert np.isnan(normalise_shapes(model, driving_point=("c", "f")).modal_mass).tolist() == [False, True, False]
+
+
+def test_scaled_shapes_go_to_a_table():
+    scaled = ScaledShapes(
+        shapes=np.array([[1.0 + 2.0j, 3.0], [0.5, -1.0]]), shapes_std=np.array([[0.1, 0.2], [0.3, np.nan]]),
+        modal_mass=np.array([2.0, 3.0]), modal_mass_std=np.array([0.1, np.nan]), driving_point=("tip", "force"),
+        names=("tip", "mid"), frequencies=np.array([1.0, 2.0]),
+    )  # fmt: skip
+    table = scaled.to_table()
+    assert table.schema.field("modal_mass").metadata == {b"unit": b"kg"}
+    assert table.schema.metadata == {b"output_names": b"tip\nmid", b"driving_point": b"tip\nforce"}
+    assert table.column("shape").to_pylist()[0] == [{"real": 1.0, "imaginary": 2.0}, {"real": 0.5, "imaginary": 0.0}]
+    assert table.column("shape_std").to_pylist()[0] == [0.1, 0.3]
+    assert table.column("frequency").to_pylist() == [1.0, 2.0]

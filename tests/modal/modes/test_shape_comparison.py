@@ -241,3 +241,14 @@ def test_one_channel_in_common_pairs_no_modes_by_shape():
         pair_modes(first, Shapes([[1.0, 1.0]], ["b"]))
     known = [Shapes(one.shapes, one.names, frequencies=[10.0, 20.0]) for one in (first, Shapes([[1.0, 2.0]], ["b"]))]
     assert pair_modes(*known).pairs == ((0, 0), (1, 1))
+
+
+def test_pairs_go_to_a_table_and_none_is_lost():
+    one = Shapes([[1.0, 1.0, 1.0], [1.0, -1.0, 0.0], [0.0, 0.0, 9.0]], ["a", "b", "c"])
+    pairs = pair_modes(one, Shapes([[1.0, 0.0], [-1.1, 1.0], [0.0, 0.0]], ["a", "b", "c"]))
+    rows = pairs.to_table().to_pylist()
+    assert [(row["first"], row["second"]) for row in rows[: len(pairs.pairs)]] == list(pairs.pairs)
+    assert [row["assurance"] for row in rows[: len(pairs.pairs)]] == pairs.assurance.tolist()
+    assert [row["first"] for row in rows if row["second"] is None] == list(pairs.only_first)
+    assert [row["second"] for row in rows if row["first"] is None] == list(pairs.only_second)
+    assert pairs.only_first

@@ -175,3 +175,12 @@ def test_what_another_set_up_measured_is_not_missing():
     outputs[500:2500, 3] = np.nan
     found = check_quality([setups[0], replace(setups[1], outputs=outputs)]).findings
     assert {channel for one in found if one.what == "missing samples" for channel in one.channels} == {"y3"}
+
+
+def test_the_check_goes_to_a_table_of_channels():
+    quality = check_quality(Record(*clean_record(np.random.default_rng(1), "white")))
+    table = quality.to_table()
+    assert table.column("name").to_pylist() == [channel.name for channel in quality.channels]
+    assert table.column("std").to_pylist() == [channel.statistics.std for channel in quality.channels]
+    assert table.column("findings").to_pylist()[0] == [each.sentence for each in quality.channels[0].findings]
+    assert table.schema.field("signal_to_noise").metadata == {b"unit": b"dB"}
