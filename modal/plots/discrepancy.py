@@ -85,8 +85,9 @@ def answer_charts(stages: Sequence[Stage], *, record: int, output: int) -> tuple
     charts = []
     for stage, values in zip(shown, simulated, strict=True):
         figure, panel = one_panel(0.5 * STYLE.page, 2.6)
-        panel.line(time, seen, "measured", width=STYLE.under, opacity=STYLE.half, label="measured")
-        panel.line(time, values, STAGE_ROLES[stage.kind], label="simulated")
+        key = "" if charts else "measured"  # the charts stand side by side: each line is explained once
+        panel.line(time, seen, "measured", width=STYLE.under, opacity=STYLE.half, label=key)
+        panel.line(time, values, STAGE_ROLES[stage.kind], label=f"simulated {stage.name}")
         size = times_text(float(np.sqrt(stage.gap.in_floors.mean())))
         panel.head = f"{stage.name.capitalize()}: {size} times the noise"
         panel.x.limits, panel.x.label = (float(time[0]), float(time[-1])), "time [s]"

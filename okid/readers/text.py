@@ -466,6 +466,7 @@ def _read_numbers(file: BinaryIO, head: bytes, path: Path) -> Table:
     check_memory(path, text + COPIES_OF_TABLE * table)
     file.seek(sum(map(len, raw_lines[: layout.first_line])))
     values = _numbers(file, layout, names, path)
+    values = _without_empty_end(values)
     columns = [
         Column(name=name, unit=unit, header=header)
         for name, (_, unit), header in zip(names, split, headers, strict=True)
@@ -480,6 +481,14 @@ def _read_numbers(file: BinaryIO, head: bytes, path: Path) -> Table:
         if len(keep) < len(headers):
             columns, values = [columns[k] for k in keep], values[:, keep]
     return Table(path=path, format="text table", columns=tuple(columns), values=values, doubts=layout.doubts)
+
+
+def _without_empty_end(values: FloatArray) -> FloatArray:
+    """The rows up to the last one that holds a number: a sheet is saved with lines of delimiters below its table."""
+    n_rows = len(values)
+    while n_rows > 1 and np.isnan(values[n_rows - 1]).all():
+        n_rows -= 1
+    return values[:n_rows]
 
 
 def table_of_text(data: bytes, path: Path) -> Table:

@@ -146,3 +146,29 @@ def test_a_picture_without_numbers_stays_a_picture(identification, browse, tmp_p
     tree, said, _ = browse(page)
     assert "CONSOLE" not in said
     assert 'class="tip"' not in tree
+
+
+SEE = """
+const say = (name, text) => document.documentElement.setAttribute(`data-${name}`, text);
+const picture = document.querySelector(".top figure svg").getBoundingClientRect();
+say("bottom", String(Math.round(picture.bottom)));
+say("sideways", String(document.documentElement.scrollWidth - document.documentElement.clientWidth));
+"""
+
+
+@pytest.mark.parametrize("width", [500, 1280])
+@pytest.mark.parametrize("page", ["identification", "gap"])
+def test_a_picture_stands_on_the_first_screen_whatever_there_is_to_say(
+    *, page, width, plain_files, gap_texts, browse, tmp_path
+):
+    """On a narrow screen a dozen lines of reasons stood above it."""
+    text = plain_files.html.read_text(encoding="utf-8") if page == "identification" else gap_texts["plain"][0]
+    if width == 500:
+        text = text.replace('<div class="lede">', f'<div class="lede"><p>{"A reason to be careful. " * 60}</p>')
+    text = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", text)
+    path = tmp_path / "seen.html"
+    path.write_text(text.replace("</body>", f"<script>{SEE}</script></body>"), encoding="utf-8")
+    tree, _, _ = browse(path, f"--window-size={width},900")
+    said = dict(re.findall(r'data-(\w+)="([^"]*)"', re.search(r"<html[^>]*>", tree)[0]))
+    assert int(said["bottom"]) <= 900
+    assert int(said["sideways"]) <= 0

@@ -159,3 +159,10 @@ def test_masses_that_were_not_released_have_no_deviation_of_their_own(make_gap):
     assert "taken as given" in row_of_mass
     assert "±" not in row_of_mass
     assert "1.500 ± 0.010" in row_of_other
+
+
+def test_the_two_pictures_on_top_explain_each_line_once(gap_texts):
+    top = gap_texts["plain"][0].partition("<main>")[0]
+    keys = [word.strip() for word in re.findall(r"<text[^>]*>([^<]*)</text>", top)]
+    shown = [word for word in keys if word.startswith(("measured", "simulated"))]
+    assert len(shown) == len(set(shown)) == 3

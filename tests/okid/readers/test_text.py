@@ -367,3 +367,12 @@ def test_a_ramp_is_a_further_time_only_where_it_grows_as_time_does(name, rate, i
     rows = "".join(f"{k / 100:.2f},{1 + rate * k / 100:.6f},{k % 5}\n" for k in range(60))
     (tmp_path / "a.csv").write_text(f"time [s],{name},acc\n" + rows)
     assert read_record(tmp_path / "a.csv").output_names == (("acc",) if is_time else ("delay", "acc"))
+
+
+@pytest.mark.parametrize("empty", [";;", '"";"";""', " ; ; "])
+def test_lines_of_delimiters_below_a_table_are_no_rows(tmp_path, empty):
+    rows = "".join(f"{k / 100:.2f};{k % 7};{k % 5}\n" for k in range(60))
+    (tmp_path / "a.csv").write_text("t [s];u;y\n" + rows + f"{empty}\n" * 3)
+    record = read_record(tmp_path / "a.csv")
+    assert (record.n_samples, record.dt) == (60, pytest.approx(0.01))
+    assert not np.isnan(record.outputs).any()
