@@ -202,6 +202,9 @@ def unique_names(names: Sequence[str], headers: Sequence[str]) -> list[str]:
     ]
 
 
+FEWEST_OF_A_RAMP = 10
+"""Take no shorter column for a time by its numbers alone."""
+
 DOUBTED = 1e-4
 """Warn where rounded times tell the time step no better than this: a clear mode's frequency is known as well."""
 
@@ -296,6 +299,11 @@ def stated_step(table: Table) -> tuple[float | None, float, float]:
     return step, column.origin + (float(stamps[0]) - since) * factor, within
 
 
+def _are_whole(stamps: FloatArray) -> bool:
+    """True for whole numbers, also where a product of floats missed them by its last bits."""
+    return bool(np.abs(stamps - np.rint(stamps)).max() <= 4.0 * np.spacing(np.abs(stamps).max()))
+
+
 def _check_whole_stamps(table: Table) -> None:
     """Warn where whole numbers taken for seconds may count milliseconds, or give dates as such under another header."""
     index = table.time_column()
@@ -304,7 +312,7 @@ def _check_whole_stamps(table: Table) -> None:
     column, stamps = table.columns[index], np.asarray(table.values[:, index])
     unit, name = _time_name(column)[1], _plain(column.name)
     conversion = convert_unit("time", unit)
-    if (conversion.factor if conversion.unit else 1.0) != 1.0 or not np.array_equal(stamps, np.rint(stamps)):
+    if (conversion.factor if conversion.unit else 1.0) != 1.0 or not _are_whole(stamps):
         return
     date = date_of_stamps(stamps, name)[0]
     known = date >= 1.0 if unit else name.startswith("sec") or date != 1.0
@@ -464,6 +472,8 @@ def to_record(
     _check_orientation(table, into, out)
     _refuse_doubled_rows(table)
     step, start_time = table_time_step(table, dt)
+    if outputs is None:
+        _warn_of_times(table, [*into, *out], step)
     input_units = [conversion_of(table, index) for index in into]
     output_units = [conversion_of(table, index) for index in out]
     try:
@@ -481,6 +491,22 @@ def to_record(
         )
     except InvalidDataError as error:
         raise type(error)(f"{table.path.name}: {error}") from error
+
+
+def _warn_of_times(table: Table, channels: Sequence[int], dt: float) -> None:
+    """Warn of channels that nobody named and that grow by the given time step from row to row: they are the time."""
+    if table.time_column() is not None or table.n_samples < FEWEST_OF_A_RAMP:
+        return
+    for index in channels:
+        values = np.asarray(table.values[:, index])
+        step = (values[-1] - values[0]) / (table.n_samples - 1)
+        if abs(step - dt) <= CONTRADICTION * dt and _is_ramp(values):
+            warnings.warn(
+                f"channel {table.columns[index].name!r} of {table.path.name} grows by the time step from row to row, "
+                "so it is the time and no channel; call it time in the file, or name the outputs (--outputs).",
+                IdentificationWarning,
+                stacklevel=4,
+            )
 
 
 def _check_orientation(table: Table, into: Sequence[int], out: Sequence[int]) -> None:

@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from okid.errors import UnreadableFileError
+from okid.errors import InvalidDataError, UnreadableFileError
+from okid.readers.clock import uniform_step
 from okid.readers.guard import Damage, check_channel_count, check_memory, first_line, foreign, optional_package
 from okid.readers.table import Column, LeftOut, Table, unique_names
 
@@ -193,14 +194,24 @@ def read_lvm(path: Path) -> Table:
     units = [_lvm_unit(label) for label in segment.get("Y_Unit_Label", [])] + [""] * n_channels
     unique = unique_names(names, [f"{name} {k}" for k, name in enumerate(names)])
     step = steps.pop() if steps else None
+    counted = _step_of_lvm([row[heads.index("X_Value")] for row in rows] if "X_Value" in heads else [], decimal)
+    stated = [(name, one) for name, one in (("Delta_X", step), ("X_Value", counted)) if one]
     return Table(
         path=path,
         format="LVM",
+        steps=tuple(stated),
         columns=tuple(Column(name=name, unit=unit, header=name) for name, unit in zip(unique, units, strict=False)),
         values=values,
-        dt=step or None,
+        dt=step or counted,
         start_time=next(iter(_numbers(segment.get("X0", []), decimal)), 0.0),
     )
+
+
+def _step_of_lvm(cells: list[str], decimal: str) -> float | None:
+    """The step of the column X_Value, None where it is empty or no uniform grid: the header's then stands alone."""
+    with contextlib.suppress(InvalidDataError, ValueError):
+        return uniform_step(np.array(_numbers(cells, decimal)), 1.0, "X_Value")[0]
+    return None
 
 
 def _fields(lines: list[str], separator: str) -> dict[str, list[str]]:

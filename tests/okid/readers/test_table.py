@@ -500,3 +500,20 @@ def test_misspelt_options_are_refused(path):
         read_record(path, input="shaker")
     with pytest.raises(TypeError):
         read_record(path, ["shaker"])
+
+
+def test_a_time_that_nobody_called_so_is_no_silent_channel(tmp_path):
+    """A table without a header, its time step given by hand: the first column was an output."""
+    rows = "".join(f"{each:.2f},{k % 7}\n" for k, each in enumerate(TIME))
+    (tmp_path / "a.csv").write_text(rows)
+    with pytest.warns(IdentificationWarning, match=r"'column_0' of a\.csv grows by the time step .*--outputs"):
+        read_record(tmp_path / "a.csv", dt=0.01)
+    assert read_record(tmp_path / "a.csv", dt=0.01, outputs="column_0").n_outputs == 1
+    assert read_record(tmp_path / "a.csv", dt=0.02).n_outputs == 2
+
+
+def test_whole_times_of_a_product_of_floats_are_whole(tmp_path):
+    np.savez(tmp_path / "a.npz", t=1000.0 * TIME, y=np.sin(TIME))
+    assert not np.array_equal(1000.0 * TIME, np.rint(1000.0 * TIME))
+    with pytest.warns(IdentificationWarning, match="taken for seconds"):
+        read_record(tmp_path / "a.npz")

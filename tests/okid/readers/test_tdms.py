@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import okid
-from okid.errors import UnreadableFileError
+from okid.errors import InvalidDataError, UnreadableFileError
 from okid.readers import dispatch, read_record
 
 
@@ -224,3 +224,17 @@ def test_damage(tmp_path):
     (tmp_path / "a.tdms").write_bytes(b"hello" * 10)
     with pytest.raises(UnreadableFileError, match="damaged, cut off or no TDMS"):
         read_record(tmp_path / "a.tdms")
+
+
+@pytest.mark.parametrize("layout", [{}, {"x_columns": "Multi"}, {"decimal": ","}])
+def test_a_time_column_of_labview_that_contradicts_its_header_is_refused(tmp_path, layout):
+    """The header alone was believed."""
+    text, _ = lvm(**layout)
+    point = layout.get("decimal", ".")
+    (tmp_path / "run.lvm").write_text(text.replace(f"0{point}002\t", "1\t"), newline="")
+    with pytest.raises(InvalidDataError, match=r"Delta_X says 1 s, X_Value says 0\.002 s\); .*--dt"):
+        okid.read_record(tmp_path / "run.lvm")
+    assert okid.read_record(tmp_path / "run.lvm", dt=0.002).dt == 0.002
+    lines = [line for line in text.splitlines(keepends=True) if not line.startswith("Delta_X")]
+    (tmp_path / "run.lvm").write_text("".join(lines), newline="")
+    assert okid.read_record(tmp_path / "run.lvm").dt == pytest.approx(0.002, rel=1e-9)
