@@ -82,7 +82,7 @@ def answer_charts(stages: Sequence[Stage], *, record: int, output: int) -> tuple
     shown = stages[:: max(1, len(stages) - 1)]
     simulated = [seen - stage.gap.residuals[record][window, output] for stage in shown]
     low, high = (float(end(np.stack([seen, *simulated]))) for end in (np.nanmin, np.nanmax))
-    charts = []
+    charts: list[Chart] = []
     for stage, values in zip(shown, simulated, strict=True):
         figure, panel = one_panel(0.5 * STYLE.page, 2.6)
         key = "" if charts else "measured"  # the charts stand side by side: each line is explained once
