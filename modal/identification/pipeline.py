@@ -58,10 +58,11 @@ from modal.preparation.rest import RELEASED, released
 from modal.preparation.steps import Preparation, prepare
 from modal.verdict.constancy import unsteady_drive, with_changes
 from modal.verdict.envelope import told_of_steady_lines
-from modal.verdict.excitation import between_lines, beyond_inputs, by_chance, driven_gain, ringing, standing_out
+from modal.verdict.excitation import between_lines, beyond_inputs, by_chance, driven_gain, ringing
 from modal.verdict.filled import filled_words, told_where_measured
 from modal.verdict.judgement import Answer, judge
 from modal.verdict.linearity import Powers, powers_of_motion
+from modal.verdict.peak import standing_out
 from modal.verdict.probability import FILTER_EDGE
 from modal.verdict.repeatability import repeat
 from modal.verdict.ring_down import told_of_ring_down

@@ -11,7 +11,8 @@ from era.simulation import simulate
 from modal.identification.pipeline import identify
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel, Mode
-from modal.verdict.excitation import between_lines, line_doubt, standing_out
+from modal.verdict.excitation import between_lines, line_doubt
+from modal.verdict.peak import standing_out
 from modal.verdict.probability import LEAST_HEIGHT, peak_doubt
 from okid.record import Record
 
