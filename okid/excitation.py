@@ -152,7 +152,9 @@ def _inputs_scaling(scaling: ChannelScaling) -> ChannelScaling:
 def _density(records: Sequence[Record], channel: int, scaling: ChannelScaling) -> FloatArray:
     """Power spectral density (arbitrary unit) of one scaled input: Hann windows, half overlapped, averaged.
 
-    An input that rests most of the time rests before and after its record, too: a blow at an end is seen whole.
+    A window hardly sees what is near its own ends, where a sweep begins or ends: at both ends of the record stand one
+    more of the same length and one half as long. An input that rests most of the time rests before and after its
+    record, too: a blow at an end is seen whole.
     """
     longest = max(record.n_samples for record in records)
     length = int(np.clip(1 << max(3, (longest // 4).bit_length() - 1), 8, 1024))
@@ -171,6 +173,10 @@ def _density(records: Sequence[Record], channel: int, scaling: ChannelScaling) -
             segments = np.lib.stride_tricks.sliding_window_view(values[start:stop], length)[:: length // 2]
             for first in range(0, segments.shape[0], 256):
                 spectra = np.fft.rfft(segments[first : first + 256] * window, axis=1)
+                density += (spectra.real**2 + spectra.imag**2).sum(axis=0)
+            for short in (length, length // 2):
+                ends = np.stack([values[start : start + short], values[stop - short : stop]])
+                spectra = np.fft.rfft(ends * np.hanning(short + 2)[1:-1], length, axis=1)
                 density += (spectra.real**2 + spectra.imag**2).sum(axis=0)
     return density
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from era.kalman import check_innovations
 from era.realisation import Realisation
+from era.simulation import simulate
 from modal.estimation.cross_validation import WITHIN, Folds, Trial
 from modal.estimation.feedback import FALSE_ALARMS, feedback_p_value, from_outside
 from modal.estimation.fits import measure_fit, model_runs
@@ -57,7 +58,7 @@ from modal.preparation.quick_model import left_alone_and_together
 from modal.preparation.rest import RELEASED, released
 from modal.preparation.steps import Preparation, prepare
 from modal.verdict.constancy import unsteady_drive, with_changes
-from modal.verdict.envelope import told_of_steady_lines
+from modal.verdict.envelope import told_of_lines_beside, told_of_steady_lines
 from modal.verdict.excitation import between_lines, beyond_inputs, by_chance, driven_gain, ringing
 from modal.verdict.filled import filled_words, told_where_measured
 from modal.verdict.judgement import Answer, judge
@@ -417,6 +418,9 @@ def _identified(
     modes = told_where_measured(modes, prepared, left, preparation.measured, is_driven=is_driven, is_fitted=fitted)
     left_seen = [np.where(there, one, np.nan) for one, there in zip(left, preparation.measured, strict=True)]
     asked_of_kind = told_of_steady_lines(modes, as_mended) if kind.kind == "ambient" else Answer(modes=modes)
+    if is_driven and modes.modes and prepared[0].n_inputs:
+        rest = [one.outputs - simulate(model, one, initial_state=np.zeros(model.order)).outputs for one in prepared]
+        asked_of_kind = told_of_lines_beside(modes, prepared, rest)
     if kind.kind in ("transient", "decay"):  # a sample that was filled by a linear model tells nothing of another
         seen = [np.where(there, one.outputs, np.nan) for one, there in zip(prepared, preparation.measured, strict=True)]
         asked_of_kind = told_of_ring_down(

@@ -76,13 +76,10 @@ def machine_lines(records: Sequence[Record]) -> MachineLines:
     rising = np.sort(found)
     lines_found = rising[np.diff(rising, prepend=-np.inf) > apart]
     shown = f"{listed([hertz(line) for line in lines_found])} Hz"
-    one = lines_found.size == 1
-    families = _families(lines_found, apart)
-    rest = f" ({'; '.join(families)})" if families else ""
     sentence = (
-        f"{'A line stands' if one else f'{counted(lines_found.size).capitalize()} lines stand'} at {shown}{rest}, "
-        f"up to {percent(share)} of an output's power: {'a sinusoid' if one else 'sinusoids'} of a machine or the "
-        "mains, no mode; taken off before the fit."
+        f"{lines_in_words(lines_found, apart)}, up to {percent(share)} of an output's power: "
+        f"{'a sinusoid' if lines_found.size == 1 else 'sinusoids'} of a machine or the mains, no mode; taken off "
+        "before the fit."
     )
     return MachineLines(
         records=tuple(freed),
@@ -97,6 +94,19 @@ def machine_lines(records: Sequence[Record]) -> MachineLines:
         ),
         warnings=(sentence,),
     )
+
+
+def lines_in_words(lines: FloatArray, apart: float) -> str:
+    """Where lines [Hz] stand and which of them are multiples of one frequency, as far as `apart`, without a full stop.
+
+    Example:
+        >>> lines_in_words(np.array([7.3, 14.6]), 0.1)
+        'Two lines stand at 7.3 and 14.6 Hz (7.3 and 14.6 Hz are multiples of 7.3 Hz)'
+    """
+    families = _families(lines, apart)
+    rest = f" ({'; '.join(families)})" if families else ""
+    how_many = "A line stands" if lines.size == 1 else f"{counted(lines.size).capitalize()} lines stand"
+    return f"{how_many} at {listed([hertz(line) for line in lines])} Hz{rest}"
 
 
 def blackman_harris(n_samples: int) -> FloatArray:

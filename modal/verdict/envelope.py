@@ -15,6 +15,10 @@ A machine whose speed wanders makes a line as wide as a resonance, the phases of
 wandering argument: its envelope is steady. Where the band holds few coefficients, there is nothing that the bound could
 refuse. It asks to one side: gusts make an envelope vary more, and speak for no machine.
 
+Of records with inputs it asks what these leave, without the motion of the modes that they drive. What still follows
+them may be as steady as they are, and tells of no machine. A mode that stands on a line is one all the same where the
+inputs explain it better than the same inputs at other times do.
+
 References:
     Theiler, Eubank, Longtin, Galdrikian, Farmer, Physica D 58, 1992, 77-94, doi 10.1016/0167-2789(92)90102-S (a record
     with random phases in place of its own); Chernoff, Annals of Mathematical Statistics 23(4), 1952, 493-507, doi
@@ -23,15 +27,20 @@ References:
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
 
 from modal.estimation.free_run import filled
+from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel, Mode
 from modal.modes.shape_comparison import assurance
+from modal.preparation.band import share_that_follows
+from modal.preparation.lines import MAIN_LOBE, lines_in_words, machine_lines
+from modal.verdict.excitation import answer_from_rest, by_chance
 from modal.verdict.judgement import LARGEST_BAND, SAME_SHAPE, Answer, doubted
-from modal.verdict.probability import RESOLVED
+from modal.verdict.probability import MOST_MISSED, RESOLVED
 from modal.wording.text import hertz, listed, percent
 from okid.arrays import ROUNDED, TINY, ComplexArray, FloatArray
 from okid.record import Record
@@ -94,25 +103,119 @@ def told_of_steady_lines(model: ModalModel, records: Sequence[Record]) -> Answer
     return Answer(modes=replace(model, modes=tuple(modes)), warnings=(said,))
 
 
-def steady_lines(model: ModalModel, records: Sequence[Record]) -> tuple[SteadyLine, ...]:
-    """The lines of a steady size at or near modes of the system.
+def told_of_lines_beside(model: ModalModel, records: Sequence[Record], left: Sequence[FloatArray]) -> Answer:
+    """The same of records with inputs, modes doubtful that are lines in what these leave, and a sentence for each sort.
 
-    Each mode is asked in bands from its half-power bandwidth on either side to `LARGEST_BAND` of its frequency, twice
-    as wide each time: a line wanders further than the one pole that stands on it. The steadiest is taken, and the rest
-    asked again without its frequencies: a mode that has a line beside it, or within, is none.
+    What poles that are no modes of the system make of the inputs is left as well: it may be a line, fitted by chance.
 
     Args:
         model: judged.
         records: that it was identified from.
+        left: (n_samples, n_outputs) a record, what the model leaves that runs from rest, NaN where nothing is known:
+            undamped poles may have any line for their free motion.
+    """
+    remains = [
+        replace(record, outputs=errors + _uncertain_answers(model, record))
+        for record, errors in zip(records, left, strict=True)
+    ]
+    alone = [record.select(inputs=[]) for record in remains]
+    poles = [i for i, mode in enumerate(model.modes) if mode.kind == "oscillatory"]
+    half = MAIN_LOBE / min(record.duration for record in records)
+    standing = [
+        SteadyLine(low=f - half, high=f + half, variation=0.0, modes=_within(model.modes, poles, f - half, f + half))
+        for f in machine_lines(alone).frequencies.tolist()
+    ]
+    standing = _unanswered(standing, remains)
+    wandering = [
+        line
+        for line in _unanswered(steady_lines(model, alone, everywhere=True), remains)
+        if not any(line.low <= other.high and other.low <= line.high for other in standing)
+    ]
+    certain = {i for line in (*standing, *wandering) for i in line.modes if model.modes[i].verdict == "system"}
+    chance, modes = by_chance(model, records, left, asked=sorted(certain)), list(model.modes)
+    # of a mode that hardly decays, the free motion is a line: none is told where such a one alone stands
+    driven = {i for i in certain if not chance[i]}
+    standing, wandering = (
+        [line for line in lines if not line.modes or not driven.issuperset(line.modes)]
+        for lines in (standing, wandering)
+    )
+    for line in (*standing, *wandering):
+        where = f"over {hertz(line.low)} to {hertz(line.high)} Hz"
+        for i in line.modes:
+            if chance[i]:
+                modes[i] = doubted(
+                    modes[i],
+                    f"on a machine line: what the inputs leave keeps its size {where} as no resonance under random "
+                    "forces does, and inputs of another time explain the mode as well",
+                )
+    return Answer(modes=replace(model, modes=tuple(modes)), warnings=_beside_in_words(standing, wandering))
+
+
+def _uncertain_answers(model: ModalModel, record: Record) -> FloatArray:
+    """(n_samples, n_outputs) what the inputs make stable poles do that are no modes of the system."""
+    poles, is_pair = discrete_poles(model.modes, model.dt)
+    inputs, every = np.nan_to_num(record.inputs), np.ones(record.n_samples, dtype=np.bool_)
+    answers = np.zeros(record.outputs.shape)
+    for mode, pole, pair in zip(model.modes, poles.tolist(), is_pair.tolist(), strict=True):
+        if mode.verdict != "system" and mode.kind == "oscillatory":
+            answers += answer_from_rest(inputs @ mode.participation, pole, (2.0 if pair else 1.0) * mode.shape, every)
+    return answers
+
+
+def _unanswered(lines: Sequence[SteadyLine], remains: Sequence[Record]) -> list[SteadyLine]:
+    """Those of which most does not follow the inputs."""
+    middle, half = [0.5 * (one.low + one.high) for one in lines], [0.5 * (one.high - one.low) for one in lines]
+    shares = share_that_follows(remains, middle, half)
+    return [line for line, share in zip(lines, shares.tolist(), strict=True) if share < MOST_MISSED]
+
+
+def _beside_in_words(standing: Sequence[SteadyLine], wandering: Sequence[SteadyLine]) -> tuple[str, ...]:
+    said = []
+    if standing:
+        shown = lines_in_words(
+            np.array([0.5 * (one.low + one.high) for one in standing]), standing[0].high - standing[0].low
+        )
+        said.append(
+            f"{shown} in what the inputs leave: a machine that was not measured, or the mains, and no mode; poles that "
+            "stand there tell of it."
+        )
+    if wandering:
+        where = listed([f"{hertz(line.low)} to {hertz(line.high)} Hz" for line in wandering])
+        one = len(wandering) == 1
+        said.append(
+            f"{'A line wanders' if one else 'Lines wander'} over {where} in what the inputs leave and "
+            f"{'keeps its' if one else 'keep their'} size: a machine whose speed is not quite constant and whose force "
+            "was not measured, and no mode; poles that stand there tell of it."
+        )
+    return tuple(said)
+
+
+def steady_lines(model: ModalModel, records: Sequence[Record], *, everywhere: bool = False) -> tuple[SteadyLine, ...]:
+    """The lines of a steady size at or near modes of the system, or anywhere.
+
+    Each mode is asked in bands from its half-power bandwidth on either side to `LARGEST_BAND` of its frequency, twice
+    as wide each time: a line wanders further than the one pole that stands on it. The steadiest is taken, and the rest
+    asked again without its frequencies: a mode that has a line beside it, or within, is none. A line that no mode
+    stands on is at the strongest frequency of some band of the largest width.
+
+    Args:
+        model: judged.
+        records: that it was identified from.
+        everywhere: whether to ask near all poles that turn, and in all bands.
     """
     modes = model.modes
-    asked = [i for i, mode in enumerate(modes) if mode.verdict == "system" and mode.kind == "oscillatory"]
+    asked = [
+        i for i, mode in enumerate(modes) if (mode.verdict == "system" or everywhere) and mode.kind == "oscillatory"
+    ]
     longest = max(record.duration for record in records)
-    bands = [(i, half) for i in asked for half in _half_widths(modes[i], longest)]
-    if not bands:
+    if not (asked or everywhere):
         return ()
     motion = _Motion.of(filled(records))
-    answers = [_envelope(modes[i], half, motion) for i, half in bands]
+    places = {i: _Place(modes[i].frequency, modes[i].damping_ratio, modes[i].shape / motion.scale) for i in asked}
+    if everywhere:
+        places |= {len(modes) + k: place for k, place in enumerate(_strongest(motion))}
+    bands = [(i, half) for i, place in places.items() for half in _half_widths(place, longest)]
+    answers = [_envelope(places[i], half, motion) for i, half in bands]
     left, lines = set(range(len(bands))), []
     while told := [k for k in left if answers[k].chance < FALSE_ALARMS / len(bands)]:
         best = min(told, key=lambda k: answers[k].variation)
@@ -123,15 +226,34 @@ def steady_lines(model: ModalModel, records: Sequence[Record]) -> tuple[SteadyLi
         left = {k for k in left if k != best and bands[k][0] not in on_it}
         for k in left:
             i, half = bands[k]
-            if modes[i].frequency - half <= high and low <= modes[i].frequency + half:
-                answers[k] = _envelope(modes[i], half, motion)
+            if places[i].frequency - half <= high and low <= places[i].frequency + half:
+                answers[k] = _envelope(places[i], half, motion)
     return tuple(lines)
 
 
-def _half_widths(mode: Mode, longest: float) -> Iterator[float]:
-    half = 2.0 * max(mode.damping_ratio * mode.frequency, RESOLVED / longest)
+class _Place(NamedTuple):
+    """Where a line is looked for: frequency [Hz], damping ratio, direction (n_outputs,) in units of the scale."""
+
+    frequency: float
+    damping_ratio: float
+    direction: ComplexArray
+
+
+def _strongest(motion: "_Motion") -> Iterator[_Place]:
+    """In each band of the largest width, up to half the sampling frequency: where most moves in the longest record."""
+    lines, values = max(motion.spectra, key=lambda spectrum: spectrum[0].size)
+    power, first = np.square(np.abs(values)).sum(axis=1), 0
+    while first < lines.size:
+        last = max(first + 1, int(np.searchsorted(lines, lines[first] * (1.0 + LARGEST_BAND) / (1.0 - LARGEST_BAND))))
+        peak = first + int(power[first:last].argmax())
+        yield _Place(float(lines[peak]), 0.0, values[peak])
+        first = last
+
+
+def _half_widths(place: _Place, longest: float) -> Iterator[float]:
+    half = 2.0 * max(place.damping_ratio * place.frequency, RESOLVED / longest)
     yield half
-    while (half := 2.0 * half) <= LARGEST_BAND * mode.frequency:
+    while (half := 2.0 * half) <= LARGEST_BAND * place.frequency:
         yield half
 
 
@@ -139,13 +261,18 @@ def _standing_on(
     modes: Sequence[Mode], asked: Sequence[int], motion: "_Motion", low: float, high: float
 ) -> tuple[int, ...]:
     """Which modes a line over these frequencies [Hz] is: within it, the nearest to its shape, and all that have it."""
-    covered = [i for i in asked if _share_within(modes[i], low, high) >= COVERED]
+    covered = _within(modes, asked, low, high)
     if not covered:
         return ()
     there = np.concatenate([values[(f >= low) & (f <= high)] for f, values in motion.spectra])
     shape = np.linalg.svd(there, full_matrices=False)[2][:1].T
     alike = assurance(shape, np.column_stack([modes[i].shape / motion.scale for i in covered]))[0]
     return tuple(i for i, own in zip(covered, alike.tolist(), strict=True) if own >= min(SAME_SHAPE, alike.max()))
+
+
+def _within(modes: Sequence[Mode], asked: Sequence[int], low: float, high: float) -> tuple[int, ...]:
+    """Which of the modes that are asked are covered by a line between these frequencies [Hz]."""
+    return tuple(i for i in asked if _share_within(modes[i], low, high) >= COVERED)
 
 
 def _share_within(mode: Mode, low: float, high: float) -> float:
@@ -194,12 +321,12 @@ class _Envelope:
     high: float = np.nan
 
 
-def _envelope(mode: Mode, half: float, motion: _Motion) -> _Envelope:
-    """Of what is heard of a mode so far on either side of it [Hz], in all records together."""
+def _envelope(place: _Place, half: float, motion: _Motion) -> _Envelope:
+    """Of what is heard of its direction so far on either side of a place [Hz], in all records together."""
     heard = []
     for lines, values in motion.spectra:
-        first, last = np.searchsorted(lines, [mode.frequency - half, mode.frequency + half])
-        heard.append((lines[first:last], values[first:last] @ (mode.shape / motion.scale).conj()))
+        first, last = np.searchsorted(lines, [place.frequency - half, place.frequency + half])
+        heard.append((lines[first:last], values[first:last] @ place.direction.conj()))
     total = sum(float(np.square(np.abs(part)).sum()) for _, part in heard)
     seen, means, turns, weights = 0.0, [np.empty(0)], [np.empty(0)], [np.empty(0)]
     for lines, part in heard:

@@ -46,7 +46,8 @@ FAINT = 1e-4
 MOST_SHOWN = 6
 """Name so many lines in a sentence."""
 MOSTLY = 0.5
-"""Call an input one of lines where they hold more than this share of its power."""
+"""Call an input one of lines where they hold more than this share of its power; ask what a window sees of an answer
+where it is more than this share of what it sees of an even one."""
 
 
 def driven_gain(
@@ -220,7 +221,8 @@ def beyond_inputs(
 
     A pole there fits the flank that the answers have within the band of the inputs. What a mode does shows in its own
     band: the gain of `driven_gain` there, in the frequency domain (Parseval, Blackman-Harris window), in which the
-    noise of a measured input explains nothing.
+    noise of a measured input explains nothing. The window hardly sees the ends of a record, where a sweep may pass the
+    mode: of an answer of which it sees less than half of an even share nothing is told.
 
     Args:
         model: modes of the model that ran.
@@ -229,8 +231,10 @@ def beyond_inputs(
         output_scale: (n_outputs,) sizes of the outputs.
 
     Returns:
-        (n_modes,) gain, nan where an input moves in the mode's band, and (n_modes,) independent values.
+        (n_modes,) gain, nan where an input moves in the mode's band or nothing can be told, and (n_modes,) independent
+        values.
     """
+    seen, even = np.zeros((2, len(model)))
     with_it, without, n_values = np.zeros(len(model)), np.zeros(len(model)), np.zeros(len(model), dtype=np.intp)
     poles, _ = discrete_poles(model.modes, model.dt)
     moving = np.zeros(len(model), dtype=np.bool_)
@@ -257,11 +261,13 @@ def beyond_inputs(
             part = (
                 answer_from_rest(inputs @ mode.participation, complex(poles[i]), 2.0 * mode.shape, every) / output_scale
             )
+            seen[i] += np.square(window * part).sum()
+            even[i] += np.square(blackman_harris(n)).mean() * np.square(part[there]).sum()
             with_it[i] += np.square(np.abs(rest[near])).sum()
             without[i] += np.square(np.abs((rest + np.fft.rfft(window * part, axis=0))[near])).sum()
             n_values[i] += int(last - first) * output_scale.size
     gain = 1.0 - with_it / np.maximum(without, np.finfo(float).tiny)
-    return np.where(moving | (n_values == 0), np.nan, gain), n_values
+    return np.where(moving | (n_values == 0) | (seen < MOSTLY * even), np.nan, gain), n_values
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -404,25 +410,31 @@ def undriven_doubt(mode: Mode, gain: float, duration: float, *, free: bool = Fal
     return ()
 
 
-def by_chance(model: ModalModel, records: Sequence[Record], left: Sequence[FloatArray]) -> BoolArray:
+def by_chance(
+    model: ModalModel, records: Sequence[Record], left: Sequence[FloatArray], *, asked: Sequence[int] | None = None
+) -> BoolArray:
     """(n_modes,) whether inputs that act at another time explain what a line does as well as those that were measured.
 
     What the inputs make an undamped line do never ends: it wanders, and fits hum whose frequency is not quite that of
     the pole in all rows, held-out ones between them included. So does the answer to any other input. Circular shifts of
     the inputs are such inputs, and of `N_SHIFTS` of them and the right one the right one is the best by chance as often
-    as one in `N_SHIFTS` + 1 times (Fisher's exact test by permutation). Asked of modes that decay by less than
-    `LEAST_DECAY` over the longest record; each may answer with any participation and shape.
+    as one in `N_SHIFTS` + 1 times (Fisher's exact test by permutation). Each may answer with any participation and
+    shape.
 
     Args:
         model: modes of the model that ran.
         records: that it ran through; missing inputs count as zero.
         left: (n_samples, n_outputs) a record, NaN where an output is missing.
+        asked: modes to ask; unless given, those that decay by less than `LEAST_DECAY` over the longest record.
     """
     chance = np.zeros(len(model), dtype=np.bool_)
     poles, _ = discrete_poles(model.modes, model.dt)
-    longest = max(record.duration for record in records)
-    for i, mode in enumerate(model.modes):
-        if mode.kind != "oscillatory" or -mode.pole.real * longest >= LEAST_DECAY or not records[0].n_inputs:
+    if asked is None:
+        longest = max(record.duration for record in records)
+        asked = [i for i, mode in enumerate(model.modes) if -mode.pole.real * longest < LEAST_DECAY]
+    for i in asked:
+        mode = model.modes[i]
+        if mode.kind != "oscillatory" or not records[0].n_inputs:
             continue
         shares = np.zeros(N_SHIFTS + 1)
         for record, errors in zip(records, left, strict=True):

@@ -105,3 +105,14 @@ def test_a_blow_moves_everywhere_wherever_in_the_record_it_falls(row):
     force = np.zeros(1000)
     force[row] = 1.0
     assert check_excitation(Record(force - force.mean(), np.cos(np.arange(1000.0)), 0.01), order=5).excited_share == 1.0
+
+
+@pytest.mark.parametrize("n_samples", [4000, 5000, 6000])
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_sweep_moves_up_to_where_it_ends(n_samples, turned):
+    """Windows were blind to the last samples, in which a logarithmic sweep passes a fifth of its band."""
+    time = np.arange(n_samples) / n_samples
+    wave = np.sin(2 * np.pi * 0.0025 * n_samples * (160.0**time - 1.0) / np.log(160.0))  # up to 0.4 cycles a sample
+    bands = check_excitation(record(wave[::-1] if turned else wave), order=5).excited_bands[0]
+    assert any(low <= 39.5 <= high for low, high in bands)  # of 40 Hz
+    assert not any(low <= 43.0 <= high for low, high in bands)

@@ -6,7 +6,7 @@ import scipy.signal
 
 from modal.identification.pipeline import identify
 from modal.modes.mode import ModalModel, Mode
-from modal.verdict.envelope import steady_lines, told_of_steady_lines
+from modal.verdict.envelope import steady_lines, told_of_lines_beside, told_of_steady_lines
 from okid.record import Record
 
 DT = 0.01
@@ -27,14 +27,15 @@ def wandering(rng, frequency, share, n_samples, *, swing=0.0):
     return np.sqrt(2.0) * size * np.cos(phase)
 
 
-def system(*modes):
-    """A model of modes of the system: frequency, damping ratio, shape."""
+def system(*modes, gains=()):
+    """A model of modes of the system: frequency, damping ratio, shape; of one input where there are gains."""
     made = [
         Mode(
             pole=2.0 * np.pi * f * (-z + 1j * np.sqrt(1.0 - z * z)), kind="oscillatory", frequency=f, damping_ratio=z,
-            shape=np.array(shape), participation=np.empty(0), verdict="system", probability=0.99, reason="found again",
+            shape=np.array(shape), participation=np.array(gains[i : i + 1]), verdict="system", probability=0.99,
+            reason="found again",
         )
-        for f, z, shape in modes
+        for i, (f, z, shape) in enumerate(modes)
     ]  # fmt: skip
     return ModalModel(modes=tuple(made), dt=DT, indicator_caution=0.1)
 
@@ -100,3 +101,83 @@ def test_a_machine_whose_speed_wanders_is_no_mode_of_the_system():
     assert [round(mode.frequency) for mode in result.modes.system] == [11]
     assert any("keeps its size" in words for words in result.warnings)
     assert not any(abs(mode.frequency - 25.0) < 1.0 and mode.probability > 0.6 for mode in result.modes)
+
+
+def driven(rng, frequency, damping, force):
+    """Answer of a resonance with the participation 1 to a force."""
+    pole = np.exp(2.0 * np.pi * frequency * DT * (-damping + 1j * np.sqrt(1.0 - damping**2)))
+    return 2.0 * scipy.signal.lfilter([0.0, 1.0], [1.0, -pole], force).real
+
+
+def test_beside_measured_forces_a_line_that_wanders_is_none_of_their_modes():
+    """It was in no sentence."""
+    rng = np.random.default_rng(6)
+    force = rng.standard_normal(12_000)
+    motion = np.outer(driven(rng, 11.0, 0.01, force), [1.0, 0.5])
+    left = 0.1 * rng.standard_normal((12_000, 2)) + 3.0 * np.outer(wandering(rng, 25.0, 0.003, 12_000), [0.4, -1.0])
+    model = system((11.0, 0.01, [1.0, 0.5]), (25.02, 0.0008, [0.4, -1.0]), gains=[1.0, 0.01])
+    told = told_of_lines_beside(model, [Record(force, motion + left, DT)], [left])
+    assert [mode.verdict for mode in told.modes] == ["system", "doubtful"]
+    assert told.modes.modes[1].reason.startswith("on a machine line")
+    (said,) = told.warnings
+    assert said.startswith("A line wanders over 24.")
+    assert "11" not in said
+
+
+@pytest.mark.parametrize("share", [0.0, 0.001])
+def test_a_mode_that_the_forces_drive_stays_with_a_line_within(share):
+    rng = np.random.default_rng(7)
+    force = rng.standard_normal(12_000)
+    motion = np.outer(driven(rng, 11.0, 0.01, force), [1.0, 0.5])
+    left = 0.1 * rng.standard_normal((12_000, 2)) + np.outer(wandering(rng, 11.05, share, 12_000), [1.0, 0.5])
+    model = system((11.0, 0.01, [1.0, 0.5]), (11.05, 0.0008, [1.0, 0.5]), gains=[1.0, 1e-3])
+    told = told_of_lines_beside(model, [Record(force, motion + left, DT)], [left])
+    assert [mode.verdict for mode in told.modes] == ["system", "doubtful"]
+    assert len(told.warnings) == 1
+
+
+def test_multiples_of_a_speed_are_named_beside_measured_forces():
+    rng = np.random.default_rng(8)
+    force, noise = rng.standard_normal(8000), 0.3 * rng.standard_normal((8000, 2))
+    left = noise + sum(np.outer(wandering(rng, f, 0.0, 8000), [0.5, 1.0]) for f in (7.0, 14.0, 21.0))
+    model = system((11.0, 0.01, [1.0, 0.5]), gains=[1.0])
+    motion = np.outer(driven(rng, 11.0, 0.01, force), [1.0, 0.5])
+    (said,) = told_of_lines_beside(model, [Record(force, motion + left, DT)], [left]).warnings
+    assert said.startswith("Three lines stand at 7, 14 and 21 Hz (7, 14 and 21 Hz are multiples of 7 Hz)")
+
+
+def test_what_follows_a_tone_of_the_forces_is_no_line():
+    rng = np.random.default_rng(9)
+    tone = np.sin(2.0 * np.pi * 11.2 * DT * np.arange(8000))
+    force, noise = tone + 0.1 * rng.standard_normal(8000), 0.1 * rng.standard_normal((8000, 2))
+    motion = np.outer(driven(rng, 11.0, 0.01, force), [1.0, 0.5])
+    model = system((11.0, 0.01, [1.0, 0.5]), gains=[0.9])
+    told = told_of_lines_beside(model, [Record(force, motion + noise, DT)], [0.1 * motion + noise])
+    assert told.warnings == ()
+    assert told.modes.modes == model.modes
+
+
+def test_what_unmeasured_forces_make_is_no_line():
+    """Of forces that were measured a tenth is missed; of as many records without a line hardly one may name one."""
+    shapes = np.array([[1.0, 0.5], [0.4, -1.0], [-0.7, 0.6]])
+    alarms = 0
+    for seed in range(40):
+        rng = np.random.default_rng([10, seed])
+        forces = rng.standard_normal((2, 5000))
+        both = [np.column_stack([driven(rng, f, 0.008, force) for f in (6.0, 13.0, 31.0)]) @ shapes for force in forces]
+        left = 0.1 * both[0] + (0.5 if seed % 2 else 0.0) * both[1] + 0.1 * rng.standard_normal((5000, 2))
+        model = system(*((f, 0.008, c) for f, c in zip((6.0, 13.0, 31.0), shapes, strict=True)), gains=[0.9] * 3)
+        told = told_of_lines_beside(model, [Record(forces[0], both[0] + left, DT)], [left])
+        alarms += bool(told.warnings) or any(mode.verdict != "system" for mode in told.modes)
+    assert alarms == 0
+
+
+def test_a_motor_beside_a_shaker_is_named():
+    """Nothing was said of it."""
+    rng = np.random.default_rng(11)
+    force = rng.standard_normal(4000)
+    outputs = np.outer(driven(rng, 11.0, 0.01, force), [1.0, 0.5]) + 0.1 * rng.standard_normal((4000, 2))
+    outputs += 4.0 * np.outer(wandering(rng, 25.0, 0.003, 4000), [0.4, -1.0])
+    result = identify(Record(force, outputs, DT))
+    assert [round(mode.frequency) for mode in result.modes.system] == [11]
+    assert any(words.startswith("A line wanders over 24.") for words in result.warnings)

@@ -11,7 +11,7 @@ from era.simulation import simulate
 from modal.identification.pipeline import identify
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel, Mode
-from modal.verdict.excitation import between_lines, line_doubt
+from modal.verdict.excitation import between_lines, beyond_inputs, line_doubt
 from modal.verdict.peak import standing_out
 from modal.verdict.probability import LEAST_HEIGHT, peak_doubt
 from okid.record import Record
@@ -233,3 +233,36 @@ def test_a_weak_mode_beside_a_strong_one_stands_out_on_what_the_strong_one_leave
     found = heights(weak, strong, nothing)
     assert (found[:2] > LEAST_HEIGHT).all()
     assert found[2] < LEAST_HEIGHT
+
+
+def sweep_and_answer(seed, end):
+    """A logarithmic sweep from 0.5 Hz to `end` Hz, and three modes that answer, the last at 79.16 Hz."""
+    rng, dt = np.random.default_rng(seed), 0.005
+    force = scipy.signal.chirp(dt * np.arange(4000), 0.5, 4000 * dt, end, method="logarithmic", phi=-90)
+    outputs = np.zeros((4000, 3))
+    for frequency, size in ((12.0, 1.0), (40.0, 1.0), (79.16, 0.5)):
+        pole = np.exp(2 * np.pi * frequency * dt * (-0.006 + 1j))
+        motion = scipy.signal.lfilter([0.0, 1.0], [1.0, -2 * pole.real, abs(pole) ** 2], force)
+        outputs += np.outer(size * motion / motion.std(), rng.standard_normal(3))
+    return Record(force, outputs + 0.01 * outputs.std(axis=0) * rng.standard_normal(outputs.shape), dt)
+
+
+def test_a_mode_that_a_sweep_passes_at_its_end_is_one():
+    """The record is over before a window that fades out sees its answer: it was doubtful, "may be chance"."""
+    result = identify(sweep_and_answer(3, 80.0))
+    assert [round(mode.frequency, 1) for mode in result.modes.system] == [12.0, 40.0, 79.2]
+
+
+def test_beyond_the_inputs_an_answer_is_told_of_where_the_window_sees_it():
+    """White forces up to 20 Hz of 50 answer everywhere, a sweep that ends at 30 Hz at the end alone."""
+    rng, dt, n = np.random.default_rng(0), 0.01, 4000
+    spectrum = np.where(np.fft.rfftfreq(n, dt) < 20.0, np.fft.rfft(rng.standard_normal(n)), 0.0)
+    even = np.fft.irfft(spectrum, n)
+    swept = scipy.signal.chirp(dt * np.arange(n), 0.5, n * dt, 30.0, method="logarithmic")
+    noise = 0.01 * rng.standard_normal((n, 1))
+    for force, frequency, told in ((even, 30.0, True), (swept, 29.7, False)):
+        mode = Mode(pole=2 * np.pi * frequency * (-0.003 + 1j), kind="oscillatory", frequency=frequency,
+                    damping_ratio=0.003, shape=np.ones(1) + 0j, participation=np.ones(1) + 0j)  # fmt: skip
+        model = ModalModel(modes=(mode,), dt=dt, indicator_caution=0.1)
+        gain, _ = beyond_inputs(model, [Record(force, noise, dt)], [noise], output_scale=np.ones(1))
+        assert bool(np.isfinite(gain[0])) is told
