@@ -255,20 +255,26 @@ class HiddenPlant:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class World:
-    """A plant, one law a place, which of them is Coulomb friction (None: none), and whether any has a memory."""
+    """A plant, one law a place, which of them is Coulomb friction (None: none), and if any has memory or slider."""
 
     plant: HiddenPlant
     laws: tuple[Law, ...]
     friction: int | None
     rated: bool
+    dragged: bool
 
     @classmethod
     def of(cls, plant, laws):
         rubbing = [i for i, law in enumerate(laws) if isinstance(law, Coulomb)]
         if len(rubbing) > 1:
             raise ValueError("at most one place may have Coulomb friction")
-        rated = any(law.has_rate for law in laws)
-        return cls(plant=plant, laws=tuple(laws), friction=rubbing[0] if rubbing else None, rated=rated)
+        return cls(
+            plant=plant,
+            laws=tuple(laws),
+            friction=rubbing[0] if rubbing else None,
+            rated=any(law.has_rate for law in laws),
+            dragged=any(law.has_slider for law in laws),
+        )
 
     @property
     def limit(self):
@@ -336,25 +342,30 @@ def march(plant, laws, inputs, *, dt, hold, initial_states, n_steps, delay=0.0):
 
 def _advance(step, forced, world, regime, *, x, z, t, h):
     """One step; x (n_records, 1, n), z (n_records, 1, n_places)."""
-    laws, rated = world.laws, world.rated
-    m, p = len(laws), 2 * len(laws)
+    rated = world.rated
+    m, p = len(world.laws), 2 * len(world.laws)
     straight = x @ step.stacked + forced
     if not m:
         return straight, z
+    pushed = np.multiply if m == 1 else np.matmul  # by one force, a product of matrices is one of numbers
     n_first, n_middle = straight[..., :p], straight[..., p : 2 * p]
     w1, r1 = _force(world, regime, n_first, z, t)
-    second = n_middle + w1 @ step.second
+    second = n_middle + pushed(w1, step.second)
     w2, r2 = _force(world, regime, second, z + h / 2 * r1 if rated else z, t + h / 2)
-    third = n_middle + w2 @ step.third
+    third = n_middle + pushed(w2, step.third)
     w3, r3 = _force(world, regime, third, z + h / 2 * r2 if rated else z, t + h / 2)
-    fourth = straight[..., 2 * p : 3 * p] + w3 @ step.fourth
+    fourth = straight[..., 2 * p : 3 * p] + pushed(w3, step.fourth)
     w4, r4 = _force(world, regime, fourth, z + h * r3 if rated else z, t + h)
-    x = straight[..., 3 * p :] + w1 @ step.first_to_end + (w2 + w3) @ step.middle_to_end + w4 @ step.last_to_end
+    x = straight[..., 3 * p :] + pushed(w1, step.first_to_end)
+    x += pushed(w2 + w3, step.middle_to_end)
+    x += pushed(w4, step.last_to_end)
     if rated:
         z = z + h / 6 * (r1 + 2 * r2 + 2 * r3 + r4)
-    if any(law.has_slider for law in laws):
+    if world.dragged:
         d = x @ step.displacement
-        z = np.concatenate([law.slid(d[..., i : i + 1], z[..., i : i + 1]) for i, law in enumerate(laws)], axis=-1)
+        z = np.concatenate(
+            [law.slid(d[..., i : i + 1], z[..., i : i + 1]) for i, law in enumerate(world.laws)], axis=-1
+        )
     return x, z
 
 

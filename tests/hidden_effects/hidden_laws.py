@@ -74,7 +74,7 @@ class GapSpring(Law):
     gap: float
 
     def force(self, d, v, z, t):
-        return self.k_in * d + (self.k_out - self.k_in) * (d - np.clip(d, -self.gap, self.gap))
+        return self.k_in * d + (self.k_out - self.k_in) * (d - np.minimum(np.maximum(d, -self.gap), self.gap))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -136,11 +136,11 @@ class SlackInHysteresis(Law):
 
     def slid(self, d, z):
         reach = self.slack + self.yield_displacement
-        return np.clip(z, d - reach, d + reach)
+        return np.minimum(np.maximum(z, d - reach), d + reach)
 
     def force(self, d, v, z, t):
         stretch = d - self.slid(d, z)
-        return self.k * (stretch - np.clip(stretch, -self.slack, self.slack))
+        return self.k * (stretch - np.minimum(np.maximum(stretch, -self.slack), self.slack))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -148,7 +148,7 @@ class ConstantForce(Law):
     offset: float
 
     def force(self, d, v, z, t):
-        return np.full_like(d, self.offset)
+        return 0.0 * d + self.offset
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

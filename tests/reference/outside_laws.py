@@ -10,6 +10,7 @@ where it has none; any one of them, or all where `needs_all`. `place`: where it 
 Nothing here imports okid, era or modal.
 """
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -156,6 +157,7 @@ def _chain(values):
     return matrix
 
 
+@functools.cache
 def outside_case(kind, seed):  # noqa: PLR0912 - one branch a kind
     """The case of a kind and a seed."""
     rng = np.random.default_rng([KINDS.index(kind), seed, 77])
