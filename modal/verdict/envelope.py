@@ -30,7 +30,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 from modal.estimation.free_run import filled
 from modal.modes.modal_form import discrete_poles
@@ -361,5 +361,5 @@ def _chance_below(x: float, means: FloatArray) -> float:
         return x - float((means / (1.0 + t * means)).sum())
 
     most = means.size / max(x, TINY)  # there each term is below 1 / t
-    t = brentq(slope, 0.0, most)
+    t = scipy.optimize.brentq(slope, 0.0, most)
     return float(np.exp(t * x - np.log1p(t * means).sum()))
