@@ -7,11 +7,11 @@ from modal.discrepancy import CATALOGUE, diagnose
 from modal.structure.structural_model import StructuralModel
 from okid.record import Record
 
-DT, SUBSTEPS, FRICTION, NOISE = 0.004, 100, 0.8, 1e-4
+DT, SUBSTEPS, FRICTION, NOISE, N = 0.004, 100, 0.8, 1e-4, 300
 STIFFNESS, DAMPING = 600.0, 0.6
 
 
-def decay(start, n=600):
+def decay(start, n=N):
     """1 kg let go at rest from `start`; between turns the force of friction is constant, and a mass that turns where
     the spring is weaker than friction stays."""
     step = DT / SUBSTEPS
@@ -35,7 +35,7 @@ def decay(start, n=600):
 def test_friction_is_named_from_decays_alone():
     random = np.random.default_rng(4)
     records = [
-        Record(np.zeros((600, 0)), decay(start) + NOISE * random.standard_normal(600), DT, output_names=["x"])
+        Record(np.zeros((N, 0)), decay(start) + NOISE * random.standard_normal(N), DT, output_names=["x"])
         for start in (0.02, 0.05, 0.035)
     ]
     nothing = np.zeros((1, 0))

@@ -14,7 +14,7 @@ MASS, STIFFNESS, DAMPING, FRICTION = 1.0, 8000.0, 4.0, 1.5
 WIDTH = 0.006
 
 
-def struck(seed, hits=3, n=900, noise=0.1):
+def struck(seed, hits=3, n=600, noise=0.1):
     """Blows of a few milliseconds at random times, some while it still rings; half of it is stuck between them."""
     random = np.random.default_rng(seed)
     times = np.sort(random.uniform(0.05, 0.9 * n * DT, hits))

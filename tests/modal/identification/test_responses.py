@@ -313,7 +313,7 @@ def test_no_deviation_is_zero():
 
 
 def test_the_demo_comes_back_from_its_responses_in_a_file(tmp_path):
-    record = demo_record(np.random.default_rng(5), n_samples=20_000)
+    record = demo_record(np.random.default_rng(5), n_samples=10_000)
     path = write_response(estimate_response(record, n_samples=1024), tmp_path / "frf.uff")
     result = CliRunner().invoke(app, ["run", str(path), "-o", str(tmp_path / "report"), "--order", "12"])
     assert result.exit_code == 0, result.output

@@ -8,7 +8,7 @@ import scipy
 from modal.discrepancy import CATALOGUE, diagnose
 from okid.record import Record
 
-DT, N = 0.02, 700
+DT, N = 0.02, 400
 MASSES = np.array([1.0, 1.4, 0.9])
 
 

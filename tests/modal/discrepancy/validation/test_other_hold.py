@@ -101,7 +101,7 @@ def test_a_hold_that_leaves_less_than_any_effect_is_taken_back_too():
     assert hold_words(replace(diagnosis, lack_of_fit=(left,))).startswith("Check the hold")
 
 
-def driven_frame(delay, *, fine=8, n=700, dt=0.01, level=(4.0, 15.0, 8.0)):
+def driven_frame(delay, *, n, fine=8, dt=0.01, level=(4.0, 15.0, 8.0)):
     """Two masses, a cubic spring between them, a force below 9 Hz; held between samples (delay None) or late by a time.
 
     A late force is the band-limited one itself, followed at `fine` steps a sample by the reference integrator.
@@ -130,8 +130,8 @@ def cubic(d, _v, _t):
     return 25000.0 * d**3
 
 
-def frame_diagnosis(delay):
-    *fit, held_out = driven_frame(delay)
+def frame_diagnosis(delay, n=700):
+    *fit, held_out = driven_frame(delay, n=n)
     model = StructuralModel.chain([1.2, 0.8], [400.0, 360.0], [0.8, 0.5], force_dofs=[0], sensor_dofs=[0, 1])
     return diagnose(model, fit, held_out, catalogue={key: CATALOGUE[key] for key in ("cubic_stiffness", "input_delay")})
 
@@ -143,7 +143,7 @@ def test_a_wrong_hold_is_no_delay_where_the_delay_leaves_something_of_the_input(
 
 
 def test_a_delay_of_half_a_sample_stays_a_delay_where_the_hold_is_right():
-    found = frame_diagnosis(0.005)
+    found = frame_diagnosis(0.005, n=400)
     values = {one.effect: one.parameters[0].value for one in found.findings}
     assert values["input_delay"] == pytest.approx(0.005, rel=0.02)
     assert values["cubic_stiffness"] == pytest.approx(25000.0, rel=0.01)
