@@ -81,8 +81,8 @@ def test_the_largest_order_of_the_search_still_has_higher_ones_for_the_verdict()
     u = rng.standard_normal(900)
     y = np.convolve(u, 0.97 ** np.arange(80) * rng.standard_normal(80))[:900] + 0.01 * rng.standard_normal(900)
     record = Record(u, y, 0.1).detrended()
-    _, final = fit_all_rows([record], found_of(record, trial(60, 40), trial(60, 4)))
-    assert final.decomposition.max_order >= 1.4 * 40
+    _, final = fit_all_rows([record], found_of(record, trial(100, 64), trial(100, 4)))
+    assert final.decomposition.max_order >= 1.4 * 64
 
 
 def test_an_unstable_choice_gives_way_to_the_next_best_stable_one():
