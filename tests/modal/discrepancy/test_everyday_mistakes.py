@@ -102,9 +102,9 @@ def test_a_slow_force_that_nobody_measured_is_no_law_of_the_motion():
         masses, springs, dampers, force_dof=0, sensor_dofs=(0, 1), kind="displacement"
     )
     unseen = np.array([[0.0], [0.0], [0.0], [1.0 / masses[1]]])
-    known = everyday_mistakes.drives(rng, 3)[:, :400]
+    known = everyday_mistakes.drives(rng, 3)[:, :700]
     pole = np.exp(-0.1 * np.abs(np.linalg.eigvals(A)).min() * dt)  # a tenth of the lowest mode
-    shocks = rng.standard_normal((3, 2400))
+    shocks = rng.standard_normal((3, 2700))
     slow = 0.011 * scipy.signal.lfilter([np.sqrt(1 - pole**2)], [1, -pole], shocks)[:, 2000:]
     exact = scipy.signal.cont2discrete((A, np.hstack([B, unseen]), C, np.zeros((2, 2))), dt)[:4]
     clean = [scipy.signal.dlsim((*exact, dt), np.stack(both, axis=1))[1] for both in zip(known, slow, strict=True)]
