@@ -241,10 +241,11 @@ def contest_of(
         two = two_modes_of(decay, one.parameters)
         few = modes_of(decay, certain, whole=True) if 0 < len(certain) <= FEW else two
         n_values = decay.there.sum(axis=0)
-        # numbers of the law, and in every output sizes: one of the oscillator's reading, two of each mode
+        # numbers of the law, and in every output sizes: one of the oscillator, and of the mode that it is, whose phase
+        # all outputs share; two of each mode that is free in every output
         n_modes = (1, 2, few.n_free // 2, len(certain))
         free = np.array([0 if own is None else own.n_free, *(one.n_free, two.n_free, few.n_free, 2 * len(certain))])
-        sizes = np.array([1, *(2 * n for n in n_modes)])
+        sizes = np.array([1, 1, *(2 * n for n in n_modes[1:])])
         rivals = [fit.misfit for fit in (one, two, few)]
         each = np.array([np.inf if own is None else own.misfit, *rivals, decay.misfit(np.nan_to_num(linear))])
         worth = 1.0 if own is None else own.alike

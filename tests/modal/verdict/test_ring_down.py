@@ -87,6 +87,19 @@ def test_dry_friction_is_told_with_its_size(noise, step):
     assert "dry friction" in found.sentence
 
 
+@pytest.mark.parametrize("seed", [5, 13])
+def test_a_mode_whose_phase_four_outputs_share_is_no_dearer_than_the_oscillator(seed):
+    """A linear mode under wind of 2 % of its start: each size was paid for twice, and it was accused."""
+    rng = np.random.default_rng([seed, 4])
+    turned = 2 * np.pi * 1.3 * DT
+    once = np.exp(turned * (-0.01 + 1j * np.sqrt(1 - 0.01**2)))
+    shape = rng.standard_normal(4)
+    pushed = scipy.signal.lfilter([0.0, 1j], [1.0, -once], rng.standard_normal(1000))[400:].real
+    ringing = (np.exp(1j * rng.uniform(0, 6.3)) * once ** np.arange(600)).real
+    left = np.outer(0.02 * pushed / pushed.std(), shape) + 1e-3 * rng.standard_normal((600, 4))
+    assert bent([okid.Record([], np.outer(ringing, shape) + left, DT)], [left]) is None
+
+
 def test_the_half_cycles_are_those_of_the_equation():
     times = np.arange(700.0)
     parameters = np.array([2 * np.pi * 1.3 * DT, 0.004, 0.0, 0.02, *np.zeros(6)])
