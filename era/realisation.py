@@ -22,7 +22,7 @@ import numpy as np
 from okid.arrays import FloatArray, frozen, time_step, whole_number
 from okid.display import Displayed
 from okid.errors import IdentificationWarning, InvalidDataError
-from okid.record import labels
+from okid.record import check_names, labels
 
 if TYPE_CHECKING:
     from control import StateSpace
@@ -138,8 +138,11 @@ class Realisation(Displayed):
         set_(self, "singular_values", frozen(self.singular_values, name="singular_values", shape=(None,)))
         set_(self, "dt", time_step(self.dt))
         for kind, count in (("input", n_inputs), ("output", n_outputs)):
-            names = getattr(self, f"{kind}_names")
-            set_(self, f"{kind}_names", labels(names, count, kind, named=True) if len(names) else ())
+            given = getattr(self, f"{kind}_names")
+            given = given if given is None or isinstance(given, str) else tuple(given)
+            names = labels(given, count, kind, named=True) if given else ()
+            check_names(names)
+            set_(self, f"{kind}_names", names)
         if self.factors is not None and self.factors.observability.shape[1] != order:
             raise InvalidDataError(
                 f"the Hankel factors must be those of the model's order {order}, but hold "
@@ -228,6 +231,8 @@ def to_control(
 ) -> Any:
     """`control.StateSpace` with the same matrices and time step; its channels are named as given, else as the model's.
 
+    The package takes no dot in a name: it is given "_" there, with a warning.
+
     Example:
         >>> system = to_control(Realisation([[0.5]], [[1.0]], [[2.0]], [[0.0]], 0.01), inputs=["force"])
         >>> system.dt, system.input_labels
@@ -237,9 +242,24 @@ def to_control(
 
     model = realisation
     warn_of_lead(model)
-    own = inputs or model.input_names, outputs or model.output_names
-    named = {"inputs": list(own[0]) or None, "outputs": list(own[1]) or None}
-    return control.StateSpace(model.A, model.B, model.C, model.D, model.dt, remove_useless_states=False, **named)
+    into, out = _without_dots(inputs or model.input_names), _without_dots(outputs or model.output_names)
+    return control.StateSpace(
+        model.A, model.B, model.C, model.D, model.dt, inputs=into, outputs=out, remove_useless_states=False
+    )
+
+
+def _without_dots(names: Sequence[str]) -> list[str] | None:
+    """As python-control takes them; None, its own names, where two would become one, or there are none."""
+    told = [name.replace(".", "_") for name in names]
+    apart = len(set(told)) == len(told)
+    if told != list(names):
+        then = f"called {', '.join(told)} there" if apart else "left out, since they would not stay apart"
+        warnings.warn(
+            f"python-control takes no dot in the name of a channel, so of {', '.join(names)} all are {then}.",
+            IdentificationWarning,
+            stacklevel=4,
+        )
+    return told if told and apart else None
 
 
 def warn_of_lead(realisation: Realisation) -> None:

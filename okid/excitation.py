@@ -22,6 +22,9 @@ _BRIDGED = 0.01
 """Of the whole band: a message takes bands that are closer than this for one."""
 _RANGE = 1e-6
 """60 dB: a frequency counts as excited within this factor of the largest spectral density."""
+_HALVED = 256
+"""Look through a window of half the length, too, where the whole has so many samples: a Hann window is down to `_RANGE`
+seven lines away, which would be most of the band of a few dozen."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
@@ -153,8 +156,8 @@ def _density(records: Sequence[Record], channel: int, scaling: ChannelScaling) -
     """Power spectral density (arbitrary unit) of one scaled input: Hann windows, half overlapped, averaged.
 
     A window hardly sees what is near its own ends, where a sweep begins or ends: at both ends of the record stand one
-    more of the same length and one half as long. An input that rests most of the time rests before and after its
-    record, too: a blow at an end is seen whole.
+    more of the same length and, where that still tells one frequency from its neighbours, one half as long. An input
+    that rests most of the time rests before and after its record, too: a blow at an end is seen whole.
     """
     longest = max(record.n_samples for record in records)
     length = int(np.clip(1 << max(3, (longest // 4).bit_length() - 1), 8, 1024))
@@ -174,7 +177,7 @@ def _density(records: Sequence[Record], channel: int, scaling: ChannelScaling) -
             for first in range(0, segments.shape[0], 256):
                 spectra = np.fft.rfft(segments[first : first + 256] * window, axis=1)
                 density += (spectra.real**2 + spectra.imag**2).sum(axis=0)
-            for short in (length, length // 2):
+            for short in (length, length // 2) if length >= _HALVED else (length,):
                 ends = np.stack([values[start : start + short], values[stop - short : stop]])
                 spectra = np.fft.rfft(ends * np.hanning(short + 2)[1:-1], length, axis=1)
                 density += (spectra.real**2 + spectra.imag**2).sum(axis=0)

@@ -39,7 +39,6 @@ LEAST_WINDOW = 0.25
 systems with Hann blocks of 512 to 4096 samples, 1/4 gave damping within 0.2 % in the mean)."""
 OFF_GRID = 0.01
 """Refuse lines that lie further off the uniform grid than this share of their spacing: more than rounding in a file."""
-
 LEAST_MEASURED = 0.1
 """Fill no grid of which less than this share was measured: lines that fit one may be rounded numbers."""
 
@@ -158,21 +157,22 @@ class FrequencyResponse(Displayed):
         """A line a row, for pandas, polars or a file: `.to_pandas()`, `polars.from_arrow(table)`.
 
         Returns:
-            Columns frequency [Hz] and, for each output and input, `tip/hammer re` and `tip/hammer im`, then
-            `tip/hammer coherence` (`tip coherence` where it is multiple); units in the metadata of each.
+            Columns frequency [Hz], `tip/hammer re` and `tip/hammer im` of each pair (by numbers where names would not
+            stay apart), `tip/hammer coherence` (`tip coherence` where it is multiple); units in the metadata of each.
         """
         columns: dict[str, tuple[Any, str]] = {"frequency": (self.frequencies, "Hz")}
-        pairs = [(o, i) for o in range(self.n_outputs) for i in range(self.n_inputs)]
+        pairs, parts = np.ndindex(self.n_outputs, self.n_inputs), (self.response.real, self.response.imag)
         names = {(o, i): f"{self.output_names[o]}/{self.input_names[i]}" for o, i in pairs}
-        for o, i in pairs:
+        if len(set(names.values())) < len(names):
+            names = {(o, i): f"output_{o}/input_{i}" for o, i in names}
+        for (o, i), name in names.items():
             out, into = self.output_units[o], self.input_units[i]
-            unit = f"{out or 1}/{into}" if into else out
-            columns[f"{names[o, i]} re"] = (self.response[:, o, i].real, unit)
-            columns[f"{names[o, i]} im"] = (self.response[:, o, i].imag, unit)
+            unit = f"{out or 1}/{into if into.isalnum() else f'({into})'}" if into else out
+            columns[f"{name} re"], columns[f"{name} im"] = ((part[:, o, i], unit) for part in parts)
         if self.coherence is not None:
-            shares = self.coherence.reshape(self.n_lines, -1)  # (n_lines, n_outputs) or one reference at a time
+            shares = self.coherence.reshape(self.n_lines, -1).T  # of outputs, or one reference at a time
             labelled = names.values() if self.coherence.ndim == 3 else self.output_names
-            columns |= {f"{name} coherence": (share, "") for name, share in zip(labelled, shares.T, strict=True)}
+            columns |= {f"{name} coherence": (share, "") for name, share in zip(labelled, shares, strict=True)}
         return table_of_columns(columns)
 
     def mode_indicator(self) -> FloatArray:

@@ -111,8 +111,8 @@ def told_of_lines_beside(model: ModalModel, records: Sequence[Record], left: Seq
     Args:
         model: judged.
         records: that it was identified from.
-        left: (n_samples, n_outputs) a record, what the model leaves that runs from rest, NaN where nothing is known:
-            undamped poles may have any line for their free motion.
+        left: (n_samples, n_outputs) a record, what the model leaves that runs from rest, finite: undamped poles
+            may have any line for their free motion.
     """
     remains = [
         replace(record, outputs=errors + _uncertain_answers(model, record))
@@ -173,11 +173,11 @@ def _beside_in_words(standing: Sequence[SteadyLine], wandering: Sequence[SteadyL
     said = []
     if standing:
         shown = lines_in_words(
-            np.array([0.5 * (one.low + one.high) for one in standing]), standing[0].high - standing[0].low
+            np.array([0.5 * (one.low + one.high) for one in standing]), 0.5 * (standing[0].high - standing[0].low)
         )
         said.append(
-            f"{shown} in what the inputs leave: a machine that was not measured, or the mains, and no mode; poles that "
-            "stand there tell of it."
+            f"{shown} in what the inputs leave: a machine that was not measured, the mains or a multiple of a tone "
+            "that acts, and a mode only where it hardly decays during the record; poles that stand there tell of it."
         )
     if wandering:
         where = listed([f"{hertz(line.low)} to {hertz(line.high)} Hz" for line in wandering])

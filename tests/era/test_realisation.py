@@ -110,6 +110,32 @@ def test_names_of_channels_survive_the_way_to_control_and_back():
         replace(model, output_names=("a", "b"))
 
 
+def test_names_with_dots_are_told_as_control_takes_them():
+    model = model_of()
+    n_inputs, n_outputs = model.n_inputs, model.n_outputs
+    dotted = replace(
+        model,
+        input_names=[f"force.{k}" for k in range(n_inputs)],
+        output_names=[f"acc.{k}" for k in range(n_outputs)],
+    )
+    with pytest.warns(IdentificationWarning, match="no dot in the name of a channel, so of .*0.* all are called .*_0"):
+        system = dotted.to_control()
+    assert system.output_labels == [f"acc_{k}" for k in range(n_outputs)]
+    assert system.input_labels == [f"force_{k}" for k in range(n_inputs)]
+
+
+def test_names_stay_apart_and_none_is_no_name():
+    two = Realisation(
+        np.eye(1) / 2, np.ones((1, 2)), np.ones((1, 1)), np.zeros((1, 2)), 0.1, input_names=("a.b", "a_b")
+    )
+    with pytest.warns(IdentificationWarning, match="are left out, since they would not stay apart"):
+        assert two.to_control().input_labels == ["u[0]", "u[1]"]
+    with pytest.raises(InvalidDataError, match="'a' stand more than once"):
+        replace(two, input_names=("a", "a"))
+    assert replace(two, input_names=None).input_names == ()
+    assert replace(two, input_names=(name for name in "xy")).input_names == ("x", "y")
+
+
 def test_states_that_nothing_drives_survive_the_way_to_control():
     model = Realisation(np.diag([0.5, 0.0]), [[1.0], [0.0]], [[1.0, 0.0]], [[0.0]], 0.1)
     assert model.to_control().nstates == 2

@@ -122,3 +122,8 @@ def test_a_frequency_response_goes_to_a_table_with_units_and_coherence():
     one = FrequencyResponse(response, [0.0, 1.0, 2.0], coherence=np.full((3, 2, 2), 0.5)).to_table()
     assert one.column("output_1/input_0 coherence").to_pylist() == [0.5] * 3
     assert not one.schema.field("output_0/input_0 re").metadata
+    alike = FrequencyResponse(
+        response, [0.0, 1.0, 2.0], output_names=["x/b", "x"], input_names=["c", "b/c"], input_units=["N m"] * 2
+    ).to_table()  # fmt: skip
+    assert alike.num_columns == 9
+    assert alike.schema.field("output_1/input_1 re").metadata[b"unit"] == b"1/(N m)"

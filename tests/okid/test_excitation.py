@@ -116,3 +116,9 @@ def test_a_sweep_moves_up_to_where_it_ends(n_samples, turned):
     bands = check_excitation(record(wave[::-1] if turned else wave), order=5).excited_bands[0]
     assert any(low <= 39.5 <= high for low, high in bands)  # of 40 Hz
     assert not any(low <= 43.0 <= high for low, high in bands)
+
+
+@pytest.mark.parametrize(("n_samples", "most"), [(300, 0.3), (1000, 0.24)])
+def test_a_tone_of_few_samples_moves_no_more_of_the_band_for_windows_at_its_ends(n_samples, most):
+    tone = np.sin(2 * np.pi * 0.05 * np.arange(n_samples))
+    assert check_excitation(record(tone), order=5).excited_share < most

@@ -158,12 +158,11 @@ say("sideways", String(document.documentElement.scrollWidth - document.documentE
 
 @pytest.mark.parametrize("width", [500, 1280])
 @pytest.mark.parametrize("page", ["identification", "gap"])
-def test_a_picture_stands_on_the_first_screen_whatever_there_is_to_say(
-    *, page, width, plain_files, gap_texts, browse, tmp_path
-):
+def test_a_picture_stands_on_the_first_screen(*, page, width, plain_files, gap_texts, browse, tmp_path):
     """On a narrow screen a dozen lines of reasons stood above it."""
     text = plain_files.html.read_text(encoding="utf-8") if page == "identification" else gap_texts["plain"][0]
     if width == 500:
+        assert text.count('<div class="lede">') == 1
         text = text.replace('<div class="lede">', f'<div class="lede"><p>{"A reason to be careful. " * 60}</p>')
     text = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", text)
     path = tmp_path / "seen.html"
