@@ -65,6 +65,9 @@ _REMARK = re.compile(rb"[#%]+\s*")
 DAY, HOUR = 86_400, 3_600
 """Seconds after which a clock begins again that shows no date, and one that shows no hours."""
 
+HEAD_BYTES = 1 << 16
+"""Look for a clock in so much of a text."""
+
 NAME = b"clock_time"
 """Put this over the seconds: no other column is called so."""
 
@@ -99,6 +102,11 @@ class Clock:
     dated: bool = False
     month_first: bool | None = False
     decimal: bytes = b"."
+
+    @property
+    def period(self) -> int:
+        """Seconds after which it begins again; 0 where it shows a date."""
+        return 0 if self.dated else HOUR if self.kind == "minutes" else DAY
 
     def pattern(self) -> re.Pattern[bytes]:
         """Of a row up to the end of its stamp."""
@@ -135,7 +143,7 @@ class Clock:
         return b"".join(self._named(above)) + below
 
     def _writer(self, *, goes_on: bool) -> Callable[[re.Match[bytes]], bytes]:
-        period = 0 if self.dated else HOUR if self.kind == "minutes" else DAY
+        period = self.period
         last, turns = self.origin, 0
 
         def write(found: re.Match[bytes]) -> bytes:
@@ -144,9 +152,8 @@ class Clock:
             if period and (whole < last - period // 2 or (goes_on and whole < last)):  # past midnight, or the hour
                 turns += 1
             last, goes_on = whole, False
-            parts = found.groupdict()
-            digits = parts["digits"] or parts.get("thousandths") or b"0"
-            return b"%s%d%s%s" % (found["before"], whole + turns * period - self.origin, self.decimal, digits)
+            whole += turns * period - self.origin
+            return b"%s%d%s%s" % (found["before"], whole, self.decimal, _digits(found))
 
         return write
 
@@ -195,15 +202,23 @@ def find_clock(head: bytes) -> Clock | None:
     Raises:
         ValueError: a date that is none.
     """
-    head = head[: 1 << 16]
-    lines = head.splitlines()
-    if not re.search(rb"\d:[0-5]\d", head):
+    if not may_hold_stamps(head):
         return None
+    ends = len(head) <= HEAD_BYTES
+    head = head[:HEAD_BYTES]
+    lines = head.splitlines()
+    if not head.endswith((b"\n", b"\r")):
+        lines.pop()
     for delimiter in (b"\t", b";", b"|", b" ", b","):
-        found = _columns_of_stamps(lines, delimiter, whole=head.endswith((b"\n", b"\r")))
+        found = _columns_of_stamps(lines, delimiter, ends=ends)
         if found is not None:
-            return _with_origin(found, lines)
+            return found
     return None
+
+
+def may_hold_stamps(head: bytes) -> bool:
+    """False where no clock stands anywhere in the first lines of a text."""
+    return re.search(rb"\d:[0-5]\d", head[:HEAD_BYTES]) is not None
 
 
 def _stamps(delimiter: bytes) -> dict[Kind, bytes]:
@@ -219,11 +234,9 @@ def _stamps(delimiter: bytes) -> dict[Kind, bytes]:
     }
 
 
-def _columns_of_stamps(lines: Sequence[bytes], delimiter: bytes, *, whole: bool) -> Clock | None:
+def _columns_of_stamps(lines: Sequence[bytes], delimiter: bytes, *, ends: bool) -> Clock | None:
     rows = [_cut(line, delimiter) for line in lines]
     filled = [row for row in rows if len(row) > 1 or row[0].strip()]
-    if not whole:
-        filled.pop()
     if not any(len(row) > 1 for row in filled):
         return None
     n_cells = Counter(map(len, filled[-200:])).most_common(1)[0][0]
@@ -241,7 +254,9 @@ def _columns_of_stamps(lines: Sequence[bytes], delimiter: bytes, *, whole: bool)
             first = are.index(True)
             others = [row for is_one, row in zip(are[first:-1], rows[first:-1], strict=True) if not is_one]
             if not any(b"".join(row).strip() for row in others):
-                return Clock(delimiter=delimiter, n_before=k, n_cells=n_cells, kind=kind, first=first)
+                clock = Clock(delimiter=delimiter, n_before=k, n_cells=n_cells, kind=kind, first=first)
+                if (known := _with_origin(clock, lines, ends=ends)) is not None:
+                    return known
     return None
 
 
@@ -249,15 +264,27 @@ def _stamp_in(row: Sequence[bytes], k: int, n_stamp: int) -> bytes:
     return b"\0".join(cell.strip(b'" ') for cell in row[k : k + n_stamp])
 
 
-def _with_origin(clock: Clock, lines: Sequence[bytes]) -> Clock:
-    """The clock with what the rows tell of its dates, its beginning, and the decimal sign beside it."""
+def _with_origin(clock: Clock, lines: Sequence[bytes], *, ends: bool) -> Clock | None:
+    """The clock with what the rows tell of its dates, its beginning, and the decimal sign beside it.
+
+    None where it is no time of the rows: it stands still to the end of the file, or shows no date and goes back.
+    """
     pattern = clock.pattern()
     rows = [found for line in lines[clock.first :] if (found := pattern.match(line))]
     others = [found["before"] + line[found.end() :] for line in lines[clock.first :] if (found := pattern.match(line))]
     comma = clock.delimiter != b"," and any(re.search(rb"\d,\d", other) for other in others)
     month_first = _month_first({found["date"] for found in rows}) if "date" in pattern.groupindex else None
     known = replace(clock, dated=month_first is not None, month_first=month_first, decimal=b"," if comma else b".")
+    steps = np.diff([known.whole(found) + float(b"0." + _digits(found)) for found in rows])
+    back = (steps < 0.0) & (steps >= -known.period / 2)
+    if (ends and len(steps) and not steps.any()) or (known.period and back.any()):
+        return None
     return replace(known, origin=known.whole(rows[0]))
+
+
+def _digits(found: re.Match[bytes]) -> bytes:
+    parts = found.groupdict()
+    return parts["digits"] or parts.get("thousandths") or b"0"
 
 
 def _month_first(dates: set[bytes]) -> bool | None:

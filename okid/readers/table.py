@@ -18,7 +18,7 @@ import numpy as np
 
 from okid.arrays import FloatArray, column_block, row_chunks, time_step
 from okid.errors import IdentificationWarning, InvalidDataError
-from okid.readers.clock import JITTER, date_of_stamps, uniform_step
+from okid.readers.clock import JITTER, NAME, date_of_stamps, uniform_step
 from okid.readers.units import MAX_NAME, PARENTHESIS, UnitConversion, convert_unit, in_si, one_time
 
 TIME_NAMES = frozenset(
@@ -111,8 +111,10 @@ class Table:
         A column called time, in the languages and habits of loggers (t, Zeit, Temps, X_Value, time_ms). A capital T may
         be a torque or a temperature: it is the time only if its unit says so, and a `t` with a unit that is none of
         time is not. Where none is called so, a uniform ramp in a unit of time, or with a word of time in its name
-        (Messzeit, Temps relatif, millis), is it: no sensor measures one.
+        (Messzeit, Temps relatif, millis), is it: no sensor measures one. A clock that was read is it in any case.
         """
+        if NAME.decode() in self.names:
+            return self.names.index(NAME.decode())
         for index, column in enumerate(self.columns):
             if _time_name(column)[0] in TIME_NAMES and _may_be_time(column):
                 return index
@@ -126,7 +128,8 @@ class Table:
         first = self.time_column()
         spoken = [k for k, one in enumerate(self.columns) if first not in (None, k) and _speaks_of_time(one)]
         ramps = [k for k in spoken if _is_ramp(self.values[:, k], CONTRADICTION)]
-        return [k for k in ramps if one_time(np.ptp(self.values[:, [first or 0, k]], axis=0), CONTRADICTION)]
+        clock = NAME.decode() in self.names  # of whole seconds, it may span much less
+        return [k for k in ramps if clock or one_time(np.ptp(self.values[:, [first or 0, k]], axis=0), CONTRADICTION)]
 
     def counter_column(self) -> int | None:
         """Index of a column that only counts the samples (0, 1, 2, ... or 1, 2, 3, ...), None if there is none."""

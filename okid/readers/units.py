@@ -407,8 +407,8 @@ def with_unit(name: str, unit: str | None, *, stays: bool) -> str:
 
 def one_time(spans: FloatArray, within: float) -> bool:
     """Whether two columns of so long spans may be one time in two units."""
-    rate = float(spans.max() / spans.min())
-    return any(abs(rate / size - 1.0) <= within for size in (1, 60, 3600, 10**3, 10**6, 10**9))
+    short, long = float(spans.min()), float(spans.max())
+    return any(abs(long - short * size) <= within * short * size for size in (1, 60, 3600, 10**3, 10**6, 10**9))
 
 
 def _unread_unit(channel: str) -> str:
