@@ -200,7 +200,7 @@ def _with_units(rows: Sequence[list[str] | None], dialect: Dialect) -> tuple[tup
         if _is_units_row(titles, units):
             cells = [None if _UNITS_WORD.fullmatch(cell) else cell.strip("[]() ") for cell in units]
             pairs_of = list(zip(titles, cells, strict=True))
-            headers = tuple(with_unit(*both, stays=units in above) for both in pairs_of)
+            headers = tuple(with_unit(*both, stays=units in above and not _is_letter(*both)) for both in pairs_of)
             said = (_unit_doubt(*both, header) for both, header in zip(pairs_of, headers, strict=True))
             return headers, tuple(doubt for doubt in said if doubt)
     for low, high in pairs[:1]:
@@ -220,13 +220,25 @@ def _unit_doubt(name: str, unit: str | None, header: str) -> str:
         ''
     """
     own_name, own = split_header(name)
-    if not unit or own == unit or not looks_like_unit(own) or not looks_like_unit(unit):
+    if not unit or own == unit or not looks_like_unit(own) or not looks_like_unit(unit) or _is_letter(name, unit):
         return ""
     first, second = convert_unit(own_name, own), convert_unit(own_name, unit)
     if (first.unit, first.factor, first.offset) == (second.unit, second.factor, second.offset):
         return ""
     taken = split_header(header)[1]
     return f"{own_name!r} is in {own!r} by its own header and in {unit!r} by the row of units; {taken!r} was taken"
+
+
+def _is_letter(name: str, unit: str | None) -> bool:
+    """True where a capital in round brackets is a sensor's letter, because the row's unit is of another kind.
+
+    Example:
+        >>> [_is_letter("acc x (V)", "g"), _is_letter("acc x (V)", "mV"), _is_letter("acc x [V]", "g")]
+        [True, False, False]
+    """
+    own_name, own = split_header(name)
+    bracketed = unit and re.search(r"\([A-Z]\)\s*$", name)
+    return bool(bracketed and convert_unit(own_name, own).unit != convert_unit(own_name, unit or "").unit)
 
 
 def _is_header(cells: Sequence[str], dialect: Dialect) -> bool:

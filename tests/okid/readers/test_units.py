@@ -377,6 +377,9 @@ def test_parentheses_of_loggers_are_units_that_are_not_read_and_a_level_is_no_cu
         ("Time [s],tip [mm]\ns,mm\n", ""),
         ("Time [s],tip [mm]\ns,Millimeter\n", ""),
         ("Time [s],tip (left)\ns,mm\n", ""),
+        *((f"Time,tip ({letter})\ns,g\n", "") for letter in "VAC"),  # vertical, axial, the third sensor
+        ("s,g\nTime,tip (V)\n", ""),
+        ("Time,tip (V)\ns,mV\n", "'tip' is in 'V' by its own header and in 'mV' by the row of units; 'mV' was taken"),
     ],
 )
 def test_a_row_of_units_that_contradicts_a_name_is_said(tmp_path, head, said):
@@ -384,13 +387,13 @@ def test_a_row_of_units_that_contradicts_a_name_is_said(tmp_path, head, said):
     path.write_text(head + "".join(f"{k / 100:.2f},{k % 7}\n" for k in range(60)))
     if not said:
         assert not describe_file(path).doubts
-        read_record(path)
+        assert read_record(path).output_units == ("m/s^2" if "g" in head else "m",)
         return
     assert said in describe_file(path).remarks
     with pytest.warns(IdentificationWarning, match=re.escape(f"a.csv: {said}.")):
         record = read_record(path)
     taken = re.search(r"'(\w+)' was taken", said)[1]
     if "'tip'" in said:
-        assert record.outputs[1, 0] == {"m": 1.0, "mm": 1e-3}[taken]
+        assert record.outputs[1, 0] == {"m": 1.0, "mm": 1e-3, "mV": 1e-3}[taken]
     else:
         assert record.dt == pytest.approx(0.01)
