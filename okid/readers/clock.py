@@ -32,7 +32,7 @@ _DATE = (
 )
 _FRACTION = rb"(?:[%s](?P<digits>\d{1,9})|:(?P<thousandths>\d{3}))?"
 _CLOCK = (
-    rb"(?P<hour>\d\d?):(?P<minute>\d\d):(?P<second>\d\d)" + _FRACTION + rb" ?(?P<half>[AaPp]\.?[Mm]\.?)?"
+    rb"(?P<hour>\d\d?):(?P<minute>\d\d):(?P<second>\d\d)" + _FRACTION + rb"(?: ?(?P<half>[AaPp]\.?[Mm]\.?))?"
     rb" ?Z?(?P<zone>[+-]\d\d:?\d\d)?"
 )
 _MINUTES = rb"(?P<minute>\d{1,4}):(?P<second>[0-5]\d)[%s](?P<digits>\d{1,9})"
@@ -225,6 +225,8 @@ def _stamps(delimiter: bytes) -> dict[Kind, bytes]:
     """How the cells of each kind are written; zero stands for what separates two."""
     signs = b"." if delimiter == b"," else b".,"
     clock = _CLOCK % signs
+    if delimiter == b" ":  # what stands behind the next blank is a number, not a zone
+        clock = clock.replace(b" ?Z?", b"Z?")
     return {
         "date, clock": _DATE + _MIDNIGHT + b"\0" + clock,
         "clock, date": clock + b"\0" + _DATE + _MIDNIGHT,

@@ -66,3 +66,11 @@ def test_a_column_that_a_clock_became_is_the_time(tmp_path):
     path.write_text("time,millis,a\n" + "".join(f"1,{k},{k % 3}\n" for k in range(30)))
     with pytest.raises(InvalidDataError, match="must increase"):
         read_record(path)
+
+
+@pytest.mark.parametrize("header", ["", "Time counts a\n"])
+def test_a_number_behind_a_blank_is_no_zone(tmp_path, header):
+    path = tmp_path / "a.txt"
+    path.write_text(header + "".join(f"12:00:0{k}.010000 {-1234 - k} 0.126\n" for k in range(9)))
+    record = read_record(path)
+    assert (record.dt, record.outputs.tolist()) == (1.0, [[-1234.0 - k, 0.126] for k in range(9)])
