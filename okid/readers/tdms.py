@@ -10,6 +10,7 @@ import logging
 import sys
 import threading
 from collections.abc import Iterator
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -194,8 +195,11 @@ def read_lvm(path: Path) -> Table:
     units = [_lvm_unit(label) for label in segment.get("Y_Unit_Label", [])] + [""] * n_channels
     unique = unique_names(names, [f"{name} {k}" for k, name in enumerate(names)])
     step = steps.pop() if steps else None
-    counted = _step_of_lvm([row[heads.index("X_Value")] for row in rows] if "X_Value" in heads else [], decimal)
-    stated = [(name, one) for name, one in (("Delta_X", step), ("X_Value", counted)) if one]
+    cells = [row[heads.index("X_Value")].replace(decimal, ".") for row in rows] if "X_Value" in heads else []
+    counted, off, why = _step_of_lvm(cells) if any(map(str.strip, cells)) else (None, 0.0, "")
+    stated = [("Delta_X", step)] if step else []
+    if counted and abs(counted - (step or 0.0)) > off:
+        stated.append(("X_Value", counted))
     return Table(
         path=path,
         format="LVM",
@@ -204,14 +208,18 @@ def read_lvm(path: Path) -> Table:
         values=values,
         dt=step or counted,
         start_time=next(iter(_numbers(segment.get("X0", []), decimal)), 0.0),
+        left_out=(LeftOut(name="X_Value", reason=why),) if why and not step else (),
     )
 
 
-def _step_of_lvm(cells: list[str], decimal: str) -> float | None:
-    """The step of the column X_Value, None where it is empty or no uniform grid: the header's then stands alone."""
-    with contextlib.suppress(InvalidDataError, ValueError):
-        return uniform_step(np.array(_numbers(cells, decimal)), 1.0, "X_Value")[0]
-    return None
+def _step_of_lvm(cells: list[str]) -> tuple[float | None, float, str]:
+    """The step of the column X_Value, how far its digits let it be off, and why it has none."""
+    try:
+        step, within = uniform_step(np.array(_numbers(cells)), 1.0, "X_Value")
+    except ValueError as error:  # one of okid's says it in words
+        return None, 0.0, str(error).rstrip(".") if isinstance(error, InvalidDataError) else "it holds text"
+    last_digit = min(int(Decimal(cell.strip()).as_tuple().exponent) for cell in cells)
+    return step, max(within, 10.0**last_digit / (len(cells) - 1)), ""
 
 
 def _fields(lines: list[str], separator: str) -> dict[str, list[str]]:

@@ -238,3 +238,30 @@ def test_a_time_column_of_labview_that_contradicts_its_header_is_refused(tmp_pat
     lines = [line for line in text.splitlines(keepends=True) if not line.startswith("Delta_X")]
     (tmp_path / "run.lvm").write_text("".join(lines), newline="")
     assert okid.read_record(tmp_path / "run.lvm").dt == pytest.approx(0.002, rel=1e-9)
+
+
+@pytest.mark.parametrize(("n_rows", "digits", "header"), [(20, 3, 1 / 1024), (12, 4, 1 / 1024), (12, 4, 0.0013)])
+def test_a_time_column_of_labview_contradicts_its_header_only_beyond_its_digits(tmp_path, n_rows, digits, header):
+    text, _ = lvm()
+    lines = text.splitlines()
+    rows = [f"{k / 1024:.{digits}f}\t{k % 7}\t{k % 3}" for k in range(n_rows)]
+    lines = [*lines[: -len(lvm()[1])], *rows]
+    text = "\n".join(lines).replace("Samples\t50\t50", f"Samples\t{n_rows}\t{n_rows}") + "\n"
+    text = text.replace("0.002\t0.002", f"{header:.10f}\t{header:.10f}")
+    (tmp_path / "run.lvm").write_text(text, newline="")
+    if header == 1 / 1024:
+        assert read_record(tmp_path / "run.lvm").dt == pytest.approx(header, rel=1e-6)
+    else:
+        with pytest.raises(InvalidDataError, match=r"Delta_X says 0\.0013 s, X_Value says"):
+            read_record(tmp_path / "run.lvm")
+
+
+@pytest.mark.parametrize(("cell", "why"), [("1.091", "X_Value must increase, .*"), ("late", "it holds text")])
+def test_why_a_time_column_of_labview_was_not_taken_is_said(tmp_path, cell, why):
+    text, _ = lvm()
+    (tmp_path / "run.lvm").write_text(text.replace("1.010000000", cell), newline="")
+    assert read_record(tmp_path / "run.lvm").dt == 0.002
+    text = "".join(line for line in text.splitlines(keepends=True) if not line.startswith("Delta_X"))
+    (tmp_path / "run.lvm").write_text(text.replace("1.010000000", cell), newline="")
+    with pytest.raises(InvalidDataError, match=f"'X_Value' was left out: {why}\\), so the time step must be given"):
+        read_record(tmp_path / "run.lvm")
