@@ -17,6 +17,7 @@ import numpy as np
 from okid.arrays import column_block
 from okid.errors import InvalidDataError, UnreadableFileError
 from okid.readers.arrays import read_npy, read_npz, table_from_arrays, table_of_channels
+from okid.readers.clock import YEAR_2000
 from okid.readers.guard import check_file, foreign
 from okid.readers.mat import read_mat
 from okid.readers.parquet import read_parquet
@@ -245,11 +246,17 @@ def _held(table: Table, inputs: Sequence[str] | str | None, outputs: Sequence[st
 
 
 def _joined(tables: Sequence[Table], held: Sequence[frozenset[str]]) -> Table:
-    steps = [stated_step(table)[:2] for table in tables]
-    first, (step, start_time) = tables[0], steps[0]
-    for table, (other_step, other_start) in zip(tables[1:], steps[1:], strict=True):
+    steps = [stated_step(table) for table in tables]
+    first, (step, start_time, within) = tables[0], steps[0]
+    for table, (other_step, other_start, _) in zip(tables[1:], steps[1:], strict=True):
         drift = 0.0
         if step is not None and other_step is not None:
+            if (start_time < YEAR_2000) != (other_start < YEAR_2000):
+                dated, other = (table, first) if start_time < YEAR_2000 else (first, table)
+                raise InvalidDataError(
+                    f"{dated.path.name} gives the date of its samples and {other.path.name} gives none, so whether "
+                    "they are parts of one record cannot be told; export both with the date, or both without."
+                )
             drift = abs(other_start - start_time) + abs(other_step - step) * first.n_samples
         if (
             table.n_samples != first.n_samples
@@ -275,6 +282,7 @@ def _joined(tables: Sequence[Table], held: Sequence[frozenset[str]]) -> Table:
         columns=tuple(columns),
         values=np.column_stack(blocks),
         dt=step,
+        dt_within=within,
         start_time=start_time,
         inputs=tuple(name for table in tables for name in table.inputs or ()) if len(stated) == len(tables) else None,
         outputs=tuple(name for table in stated for name in table.outputs or ()) if len(stated) == len(tables) else None,

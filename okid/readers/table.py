@@ -75,6 +75,7 @@ class Table:
         columns: one a column of `values`, names unique.
         values: (n_samples, n_columns); NaN where a sample is missing; a view of the file if it is mapped.
         dt: time step that the file states [s]; None if it states none (a time column is a column).
+        dt_within: how far that may be off [s].
         start_time: time of the first sample that the file states [s].
         steps: names under which the file states time steps, and these [s], where it may state several.
         inputs: names of the inputs if the file tells them apart, else None.
@@ -88,6 +89,7 @@ class Table:
     columns: tuple[Column, ...]
     values: FloatArray
     dt: float | None = None
+    dt_within: float = 0.0
     start_time: float = 0.0
     steps: tuple[tuple[str, float], ...] = ()
     inputs: tuple[str, ...] | None = None
@@ -282,7 +284,7 @@ def stated_step(table: Table) -> tuple[float | None, float, float]:
             raise InvalidDataError(
                 f"{table.path.name} states a time step of {table.dt} s, which is none; correct it in the file."
             )
-        return table.dt, table.start_time, 0.0
+        return table.dt, table.start_time, table.dt_within
     column = table.columns[index]
     conversion = convert_unit("time", _time_name(column)[1])
     if conversion.unit not in {"s", ""}:

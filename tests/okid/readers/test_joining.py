@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from okid.errors import InvalidDataError
+from okid.errors import IdentificationWarning, InvalidDataError
 from okid.readers import describe_file, read_described, read_records
 
 RNG = np.random.default_rng(4)
@@ -122,3 +122,24 @@ def test_files_that_state_roles(tmp_path):
     np.savez(tmp_path / "c.npz", outputs=values, output_names=["p", "q", "r"], dt=0.1)
     (record,) = read_records([tmp_path / "a.npz", tmp_path / "c.npz"])
     assert (record.input_names, record.output_names) == (("input_0",), ("output_0", "output_1", "p", "q", "r"))
+
+
+def clock_file(path, date, name):
+    rows = [f"{date}12:{k // 4680:02d}:{k // 78 % 60:02d},{k % 7}\n" for k in range(7800)]
+    path.write_text(f"Timestamp,{name}\n{''.join(rows)}")
+    return path
+
+
+def test_rounded_times_are_warned_of_in_joined_files(tmp_path):
+    paths = [clock_file(tmp_path / f"{name}.csv", "2026-05-04 ", name) for name in "ab"]
+    with pytest.warns(IdentificationWarning, match=r"times of a\+b\.csv are rounded.*\(--dt\)"):
+        (record,) = read_records(paths)
+    assert record.output_names == ("a", "b")
+
+
+@pytest.mark.parametrize(("dates", "said"), [(("2026-05-04 ", ""), "a and b"), (("", "2026-05-04 "), "b and a")])
+def test_a_date_in_one_of_joined_files_is_said(tmp_path, dates, said):
+    paths = [clock_file(tmp_path / f"{name}.csv", date, name) for name, date in zip("ab", dates, strict=True)]
+    first, second = (f"{name}.csv" for name in said.split(" and "))
+    with pytest.raises(InvalidDataError, match=f"{first} gives the date of its samples and {second} gives none"):
+        read_records(paths)
