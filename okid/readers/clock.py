@@ -6,7 +6,7 @@ that a spreadsheet leaves of it (`59:59.9`, then `00:00.0`). Read are ISO 8601, 
 separates the cells, and milliseconds behind a colon. Digits stay as written: they say how far a stamp was rounded.
 
 Whether 05/04/2026 is of May or of April, only its country knows: a number above 12 tells it, else two days that follow
-each other. Where nothing does, the clock is read as one without a date.
+each other. Where nothing does, as in 26.05.04, the clock is read as one without a date.
 
 Seconds count from the first whole second of the table, and what that is counts from the start of 1970, UTC where the
 stamps state an offset; without a date from midnight, without hours from the full hour.
@@ -19,6 +19,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
 from functools import lru_cache
+from itertools import islice
 from typing import Final, Literal
 
 import numpy as np
@@ -32,7 +33,7 @@ _DATE = (
 )
 _FRACTION = rb"(?:[%s](?P<digits>\d{1,9})|:(?P<thousandths>\d{3}))?"
 _CLOCK = (
-    rb"(?P<hour>\d\d?):(?P<minute>\d\d):(?P<second>\d\d)" + _FRACTION + rb"(?: ?(?P<half>[AaPp]\.?[Mm]\.?))?"
+    rb"(?P<hour>\d\d?):(?P<minute>[0-5]\d):(?P<second>\d\d)" + _FRACTION + rb"(?: ?(?P<half>[AaPp]\.?[Mm]\.?))?"
     rb" ?Z?(?P<zone>[+-]\d\d:?\d\d)?"
 )
 _MINUTES = rb"(?P<minute>\d{1,4}):(?P<second>[0-5]\d)[%s](?P<digits>\d{1,9})"
@@ -64,6 +65,9 @@ _REMARK = re.compile(rb"[#%]+\s*")
 
 DAY, HOUR = 86_400, 3_600
 """Seconds after which a clock begins again that shows no date, and one that shows no hours."""
+
+FIRST_YEAR = 20
+"""Two digits before a dot may be the year from this one on (26.05.04), and are the day below it (04.05.26)."""
 
 HEAD_BYTES = 1 << 16
 """Look for a clock in so much of a text."""
@@ -135,12 +139,13 @@ class Clock:
             >>> find_clock(data).seconds(data)
             b'clock_time [s],tip\n0.99,1\n1.00,2\n'
         """
+        if b"\n" not in data:  # an old Macintosh ends its lines otherwise
+            data = data.replace(b"\r", b"\n")
         rows = self.pattern().sub(self._writer(goes_on=goes_on), data)
         if goes_on or self.first == 0:
             return rows
-        above = rows.splitlines(keepends=True)[: self.first]
-        below = rows.split(b"\n", self.first)[self.first]
-        return b"".join(self._named(above)) + below
+        above = next(islice(re.finditer(rb"\r?\n|\r", rows), self.first - 1, None)).end()
+        return b"".join(self._named(rows[:above].splitlines(keepends=True))) + rows[above:]
 
     def _writer(self, *, goes_on: bool) -> Callable[[re.Match[bytes]], bytes]:
         period = self.period
@@ -290,9 +295,12 @@ def _digits(found: re.Match[bytes]) -> bytes:
 
 
 def _month_first(dates: set[bytes]) -> bool | None:
-    """Whether dates with slashes are American, None where neither their numbers nor their order tell it."""
+    """Whether dates with slashes are American, None where nothing tells it, or where the year may stand first."""
     parts = [re.fullmatch(rb"(\d\d?)[-/](\d\d?)[-/](\d+)", text) for text in dates]
     cut = [found for found in parts if found]
+    dotted = [found for text in dates if (found := re.fullmatch(rb"(\d\d)\.\d\d?\.(\d\d)", text))]
+    if any(int(found[1]) >= FIRST_YEAR and int(found[2]) <= 31 for found in dotted):  # 26.05.04
+        return None
     if not cut:
         return False
     if any(len(found[3]) < 4 for found in cut):  # 26/05/04 may even begin with the year

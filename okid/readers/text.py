@@ -83,7 +83,7 @@ def _read(file: BinaryIO, head: bytes, path: Path) -> Table:
 
 def _clock_of(head: bytes, path: Path) -> Clock | None:
     """The clock of a table none of whose columns of numbers is a time with a uniform grid."""
-    lines = head[: head.rfind(b"\n", 0, HEAD_BYTES) + 1]
+    lines = head[: max(head.rfind(end, 0, HEAD_BYTES) for end in (b"\n", b"\r")) + 1]
     if may_hold_stamps(head):
         with contextlib.suppress(InvalidDataError):
             if stated_step(_read_cells(io.BytesIO(lines), lines, path))[0] is not None:

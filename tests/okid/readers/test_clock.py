@@ -74,3 +74,20 @@ def test_a_number_behind_a_blank_is_no_zone(tmp_path, header):
     path.write_text(header + "".join(f"12:00:0{k}.010000 {-1234 - k} 0.126\n" for k in range(9)))
     record = read_record(path)
     assert (record.dt, record.outputs.tolist()) == (1.0, [[-1234.0 - k, 0.126] for k in range(9)])
+
+
+def test_a_clock_has_sixty_minutes(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("ratio,a\n" + "".join(f"12:75:{k:02d},{k}\n" for k in range(30)))
+    with pytest.raises(InvalidDataError, match=r"no time column .*'ratio' was left out: it holds text"):
+        read_record(path)
+
+
+@pytest.mark.parametrize("header", ["Timestamp,a", "Measured\r\rTimestamp,a", "Timestamp,Time [s],a"])
+def test_stamps_in_lines_that_end_in_carriage_returns(tmp_path, header):
+    path, own = tmp_path / "a.csv", "Time [s]" in header
+    rows = [f"{stamp_of(100 * k)}{f',{0.5 * k}' if own else ''},{k}" for k in range(30)]
+    path.write_bytes("\r".join([header, *rows, ""]).encode())
+    record = read_record(path)
+    assert (record.dt, record.output_names) == (0.5 if own else 1.0, ("a",))
+    assert record.outputs.ravel().tolist() == list(range(30))

@@ -210,6 +210,8 @@ NOON = datetime(2026, 5, 4, 12, 15, 41, tzinfo=UTC).timestamp()
         ("Date,Time,tip", "05/04/2026,12:15:SS.f", ",", 44141.0),  # of April or of May: as without a date
         ("Datum;Uhrzeit;tip", "04.05.2026;12:15:SS.f", ";", NOON),
         ("Datum;Zeit;tip", "04.05.26;12:15:SS.f", ";", NOON),
+        ("Datum;Zeit;tip", "26.05.04;12:15:SS.f", ";", 44141.0),  # of 2026 or of 2004: as without a date
+        ("Datum;Zeit;tip", "26.05.2026;12:15:SS.f", ";", NOON + 22 * 86400),
         ("Datum;Zeit;tip\n[TT.MM.JJJJ];[hh:mm:ss];[]", "04.05.2026;12:15:SS.f", ";", NOON),
         ("Datum;Zeit;tip\nTT.MM.JJJJ;hh:mm:ss;mm", "04.05.2026;12:15:SS.f", ";", NOON),
         ("Datum;Zeit;tip", "04.05.2026 00:00:00;12:15:SS.f", ";", NOON),
