@@ -73,6 +73,8 @@ class TextLimits:
     SAMPLE_BYTES: Final = 1 << 20
     """How much of a file is looked at to find its layout; no line may be longer."""
     BLOCK_BYTES: Final = 8 << 20
+    TAIL_BYTES: Final = 1 << 12
+    """How much of a file's end is looked at first for lines that hold nothing."""
 
 
 OTHERWISE = re.compile(

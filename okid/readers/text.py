@@ -10,6 +10,7 @@ Uhrzeit), and so are a column of dates and one of a clock beside it (`okid.reade
 import codecs
 import contextlib
 import io
+import itertools
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -193,9 +194,11 @@ def _read_numbers(file: BinaryIO, head: bytes, path: Path) -> Table:
     text = COPIES_OF_TEXT * size if layout.dialect.delimiter == " " else 0.0
     table = size / max(1, sum(map(len, rows))) * len(rows) * layout.n_columns * np.dtype(float).itemsize
     check_memory(path, text + COPIES_OF_TABLE * table)
+    n_empty = _empty_at_end(file, layout.dialect.delimiter.encode())
     file.seek(sum(map(len, raw_lines[: layout.first_line])))
     values = _numbers(file, layout, names, path)
-    values = _without_empty_end(values)
+    while n_empty and len(values) > 1 and np.isnan(values[-1]).all():
+        values, n_empty = values[:-1], n_empty - 1
     columns = [
         Column(name=name, unit=unit, header=header)
         for name, (_, unit), header in zip(names, split, headers, strict=True)
@@ -212,12 +215,17 @@ def _read_numbers(file: BinaryIO, head: bytes, path: Path) -> Table:
     return Table(path=path, format="text table", columns=tuple(columns), values=values, doubts=layout.doubts)
 
 
-def _without_empty_end(values: FloatArray) -> FloatArray:
-    """The rows up to the last one that holds a number: a sheet is saved with lines of delimiters below its table."""
-    n_rows = len(values)
-    while n_rows > 1 and np.isnan(values[n_rows - 1]).all():
-        n_rows -= 1
-    return values[:n_rows]
+def _empty_at_end(file: BinaryIO, delimiter: bytes) -> int:
+    """How many lines of empty cells end the file: a sheet is saved with lines of delimiters below its table."""
+    empty = re.compile(rb'[%s\s"]*' % re.escape(delimiter))
+    size, width = file.seek(0, io.SEEK_END), TextLimits.TAIL_BYTES
+    while True:
+        file.seek(max(0, size - width))
+        lines = file.read().splitlines()
+        found = list(itertools.takewhile(empty.fullmatch, reversed(lines)))
+        if len(found) < len(lines) or width >= size:
+            return sum(bool(line.strip() if delimiter == b" " else line) for line in found)  # nothing at all is no row
+        width *= 8
 
 
 def table_of_text(data: bytes, path: Path) -> Table:

@@ -376,3 +376,12 @@ def test_lines_of_delimiters_below_a_table_are_no_rows(tmp_path, empty):
     record = read_record(tmp_path / "a.csv")
     assert (record.n_samples, record.dt) == (60, pytest.approx(0.01))
     assert not np.isnan(record.outputs).any()
+
+
+@pytest.mark.parametrize(("cut", "n_empty"), [(";", 0), (";", 2), (";", 3000), (" ", 2), ("", 0)])
+def test_rows_of_written_nan_are_rows(table, cut, n_empty):
+    """Samples are missing there; empty cells below them are what a sheet leaves."""
+    cell = "{}" + cut + "{}" if cut else "{}"
+    rows = [cell.format(k % 7, k % 5) for k in range(60)] + [cell.format("NaN", "NaN")] * 3
+    values = table("\n".join([cell.format("u", "y"), *rows, *[cut or " "] * n_empty]) + "\n").values
+    assert np.isnan(values).all(axis=1).tolist() == [False] * 60 + [True] * 3
