@@ -123,9 +123,10 @@ class Identification(Displayed):
     def __post_init__(self) -> None:
         """The realisation is of these channels, whatever stage made it."""
         Displayed.__post_init__(self)
-        model, known = self.realisation, self.channels
-        if (model.n_inputs, model.n_outputs) == (len(known.input_names), len(known.output_names)):
-            named = replace(model, input_names=known.input_names, output_names=known.output_names)
+        model, names = self.realisation, (self.channels.input_names, self.channels.output_names)
+        fits = (model.n_inputs, model.n_outputs) == tuple(map(len, names))
+        if fits and (model.input_names, model.output_names) != names:
+            named = replace(model, input_names=names[0], output_names=names[1])
             object.__setattr__(self, "realisation", named)
 
     def display_rows(self) -> list[tuple[str, str]]:

@@ -52,6 +52,7 @@ def standing_out(model: ModalModel, records: Sequence[Record]) -> FloatArray:
         Capon, Proceedings of the IEEE 57(8), 1969, 1408-1418, doi 10.1109/PROC.1969.7278.
 
     Example:
+        >>> from modal.modes.mode import Mode
         >>> rng, y = np.random.default_rng(0), np.zeros(20_000)
         >>> for k in range(2, y.size):
         ...     y[k] = 1.6 * y[k - 1] - 0.95 * y[k - 2] + rng.standard_normal()
