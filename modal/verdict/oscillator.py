@@ -6,7 +6,8 @@ With the size A of what a half cycle begins with, and the centre c = f sign(x) t
     x(n+1) - c = -(x(n) - c) exp(-d pi / w_d),   at rest once |x(n)| <= f
 
 which is exact where only f is not zero. Sizes are linear in every output and leave by projection, with an offset and
-with what stands beside; the rest is found over the first cycles, then over more and more of the record.
+with what stands beside; the rest is found over the first cycles, then over more and more of the record, in white noise,
+and from there in the noise of `modal.verdict.decay`, whose poles move with it.
 """
 
 import math
@@ -16,7 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
+from modal.verdict.decay import SHARES, STEEPEST, Decay, strongest_line
+from okid.arrays import BoolArray, ComplexArray, FloatArray
 
 FEWEST = 40
 """Ask nothing of fewer rows."""
@@ -43,104 +45,16 @@ HEAVIER = (0.25, 1.0, 4.0)
 """damped so many times as much as it,"""
 PAIRS = 4
 """and go on from so many of the nearest to the record."""
-ALIKE = 0.9
-"""Take the lowest of lines that are as strong as this: samples that are missing in turns make images above a line."""
-LINES = 10
-"""Look for errors that ring with a mode at so many lines to either side: twice what an oscillator's numbers reach."""
+AGAIN = 2
+"""Fit a description so often in the noise that it leaves,"""
+NUDGE = 1e-7
+"""by differences of so many of the steps in which parameters are counted."""
 MODE = np.array([True] * 3 + [False] * 7)
 """Parameters of one linear mode: angular frequency, damping ratio, phase;"""
 STEPS = tuple(np.array([True] * n + [False] * (10 - n)) for n in (4, 7, 10))
-"""and of an oscillator: f, then p, k1 and k2 as well, which few cycles do not tell apart, then q, k3 and k4."""
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Decay:
-    """What rings down, and what every description of it may have besides.
-
-    Attributes:
-        times: (n,) in samples, rising.
-        seen: (n, n_outputs), nan where not measured.
-        beside: (n, n_columns) what has any size in every output.
-        there: (n, n_outputs) what was measured.
-        turns: angular frequency [rad/sample] of the strongest line.
-        outputs: that were measured in the same rows: these rows, those outputs, a basis of an offset and of what is
-            beside, and what this leaves.
-    """
-
-    times: FloatArray
-    seen: FloatArray
-    beside: FloatArray
-    there: BoolArray
-    turns: float
-    outputs: tuple[tuple[BoolArray, BoolArray, FloatArray, FloatArray], ...]
-
-    @classmethod
-    def of(cls, times: FloatArray, seen: FloatArray, beside: FloatArray) -> "Decay":
-        """From the first three."""
-        there: BoolArray = np.asarray(np.isfinite(seen))
-        groups = []
-        columns = np.column_stack([np.ones(len(times)), beside])
-        for pattern in np.unique(there.T, axis=0):
-            own = np.asarray((pattern == there.T).all(axis=1))
-            left, sizes, _ = np.linalg.svd(columns[pattern], full_matrices=False)
-            basis = left[:, sizes > np.finfo(float).eps * len(columns) * sizes.max(initial=0.0)]
-            values = seen[pattern][:, own]
-            groups.append((pattern, own, basis, values - basis @ (basis.T @ values)))
-        turns = strongest_line(times, seen)
-        return cls(times=times, seen=seen, beside=beside, there=there, turns=turns, outputs=tuple(groups))
-
-    def first(self, n: int) -> "Decay":
-        """The first rows."""
-        return Decay.of(self.times[:n], self.seen[:n], self.beside[:n])
-
-    def left(self, columns: FloatArray) -> FloatArray:
-        """(n, n_outputs) what the best offset and sizes of these columns leave of each output, 0 where not measured."""
-        rest = np.zeros(self.seen.shape)
-        for rows, own, basis, values in self.outputs:
-            part = columns[rows]
-            part = part - basis @ (basis.T @ part)
-            rotated, _ = np.linalg.qr(part)
-            rest[np.ix_(rows, own)] = values - rotated @ (rotated.T @ values)
-        return rest
-
-    def alike(self, left: FloatArray) -> float:
-        """How many values of what is left tell as much of the line as one of white noise, and no less than 1.
-
-        What still drives a mode while it rings down makes errors that ring with it, in all outputs: the largest sum of
-        these, at lines half a cycle in the record apart, over the largest that white noise of every output has there.
-        """
-        apart = np.arange(-LINES, LINES + 1) * np.pi / max(float(self.times[-1] - self.times[0]), 1.0)
-        lines = np.exp(-1j * np.outer(self.turns + apart, self.times)) @ left
-        lines /= np.sqrt(np.maximum(np.square(left).sum(axis=0), TINY))
-        of_white = (np.sqrt(len(apart)) + np.sqrt(left.shape[1] - 1)) ** 2
-        return max(1.0, float(np.linalg.norm(lines, 2) ** 2 / of_white))
-
-    def misfit(self, left: FloatArray) -> float:
-        """-2 ln L of white noise of each output's own size, but for a constant."""
-        count = self.there.sum(axis=0)
-        power = np.maximum(np.square(left).sum(axis=0) / np.maximum(1, count), np.finfo(float).tiny)
-        return float((count * np.log(power)).sum())
-
-
-def strongest_line(times: FloatArray, values: FloatArray) -> float:
-    """Angular frequency [rad/sample], of any output.
-
-    Args:
-        times: (n,) whole numbers of samples, rising.
-        values: (n, n_outputs), nan where not measured.
-    """
-    spacing = int(np.gcd.reduce(np.diff(times).astype(np.intp)))
-    at = ((times - times[0]) / spacing).astype(np.intp)
-    even = np.zeros((at[-1] + 1, values.shape[1]))
-    there = np.isfinite(values)
-    even[at] = np.where(there, values, 0.0) - there * (np.nansum(values, axis=0) / np.maximum(1, there.sum(axis=0)))
-    size = 4 * len(even)
-    window = np.hanning(2 * len(even))[len(even) :, np.newaxis]  # a decay is strongest at its start
-    power = (np.abs(np.fft.rfft(window * even, size, axis=0)) ** 2).sum(axis=1)
-    power[:4] = 0.0  # the level
-    peaks = np.flatnonzero(power >= ALIKE * power.max())
-    same = peaks[peaks <= peaks[0] + 8]  # a line of the window is as wide
-    return float(2 * np.pi * same[np.argmax(power[same])] / (size * spacing))
+"""and of an oscillator: f, then p, k1 and k2 as well, which few cycles do not tell apart, then q, k3 and k4,"""
+LAWS = tuple(MODE | (np.arange(10) == law) for law in (3, 4, 6))
+"""or f, p or k2 alone."""
 
 
 def at_level(parameters: FloatArray, size: float) -> tuple[float, float]:
@@ -158,11 +72,14 @@ def motion(parameters: FloatArray, times: FloatArray) -> tuple[FloatArray, Float
             q, k3, k4.
         times: (n,) rising, in the unit of the frequency's inverse.
     """
-    phase, friction = float(parameters[2]), float(parameters[3])
+    slowest, ratio, phase, friction, drag, bend, more, drags, third, fourth = parameters.tolist()
 
     def half_cycle(size: float) -> tuple[float, float, float]:
-        angular, damping = at_level(parameters, size)
-        return angular, damping * angular, angular * math.sqrt(1.0 - damping**2)
+        bent = 1.0 + size * (bend + size * (more + size * (third + size * fourth)))
+        damping = ratio + size * (drag + size * drags)
+        angular = slowest * max(bent, LEAST_TURNING)
+        damping = min(max(damping, 0.0), MOST_DAMPED)
+        return angular, damping * angular, angular * math.sqrt(1.0 - damping * damping)
 
     base = half_cycle(1.0)[0]
     t, x, v = float(times[0]), math.cos(phase), -base * math.sin(phase)
@@ -216,72 +133,174 @@ Columns = Callable[[FloatArray, FloatArray], FloatArray]
 """Of parameters and times (n,): (n, n_columns)."""
 
 
-def _least(
-    decay: Decay, columns: Columns, start: FloatArray, bounds: tuple[FloatArray, FloatArray], free: BoolArray
-) -> tuple[float, FloatArray]:
-    """Squared error and parameters after a fit of those that are free."""
-    values = start.copy()
-
-    def left(moved: FloatArray) -> FloatArray:
-        values[free] = moved
-        return decay.left(columns(values, decay.times)).ravel()
-
-    low, high = bounds[0][free], bounds[1][free]
-    fit = scipy.optimize.least_squares(
-        left,
-        np.clip(start[free], low + 1e-9, high - 1e-9),
-        bounds=(low, high),
-        x_scale=np.where(np.isfinite(high), 0.02 * high, 0.1),
-        max_nfev=50,
-    )
-    values[free] = fit.x
-    return 2.0 * float(fit.cost), values
-
-
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Contender:
-    """Misfit, parameters, how many of them are free, and how many values of what it leaves are worth one."""
+    """How one description fits.
+
+    Attributes:
+        misfit: -2 ln L in noise of its own,
+        white: and in white noise.
+        parameters: of the description.
+        noise: (n_outputs, 2), as for `Decay.innovations`.
+        n_free: how many parameters are free.
+    """
 
     misfit: float
+    white: float
     parameters: FloatArray
+    noise: FloatArray
     n_free: int
-    alike: float
+
+    @property
+    def n_noise(self) -> int:
+        """How many numbers of its noise are."""
+        return int(np.isfinite(self.noise).sum())
 
     def criterion(self, decay: Decay) -> float:
         """Schwarz's, but for the sizes."""
-        return self.misfit + self.n_free * float(np.log(decay.there.sum()))
+        return self.misfit + (self.n_free + self.n_noise) * float(np.log(decay.told.sum()))
 
 
-def _contender(decay: Decay, columns: Columns, values: FloatArray, n_free: int) -> Contender:
-    left = decay.left(columns(values, decay.times))
-    return Contender(misfit=decay.misfit(left), parameters=values, n_free=n_free, alike=decay.alike(left))
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Law:
+    """A description of a decay: its columns, the bounds of its parameters, and the modes that are shaken."""
+
+    columns: Columns
+    bounds: tuple[FloatArray, FloatArray]
+    modes: Callable[[FloatArray], FloatArray]
+
+    def left(self, decay: Decay, values: FloatArray) -> FloatArray:
+        """As `Decay.left`."""
+        return decay.left(self.columns(values, decay.times))
+
+    def fitted(self, decay: Decay, start: FloatArray, free: BoolArray) -> tuple[float, FloatArray]:
+        """Squared error and parameters after a fit of those that are free, in white noise."""
+        values = start.copy()
+
+        def left(moved: FloatArray) -> FloatArray:
+            values[free] = moved
+            return self.left(decay, values).ravel()
+
+        low, high = self._within(free)
+        fit = scipy.optimize.least_squares(
+            left,
+            np.clip(start[free], low + 1e-9, high - 1e-9),
+            bounds=(low, high),
+            x_scale=self._steps(free),
+            max_nfev=50,
+        )
+        values[free] = fit.x
+        return 2.0 * float(fit.cost), values
+
+    def _within(self, free: BoolArray) -> tuple[FloatArray, FloatArray]:
+        return self.bounds[0][free], self.bounds[1][free]
+
+    def _steps(self, free: BoolArray) -> FloatArray:
+        high = self.bounds[1][free]
+        return np.where(np.isfinite(high), 0.02 * high, 0.1)
+
+    def noise(self, decay: Decay, values: FloatArray) -> FloatArray:
+        """As `Decay.noise_of`."""
+        return decay.noise_of(self.modes(values), self.left(decay, values))
+
+    def innovations(self, decay: Decay, values: FloatArray, noise: FloatArray) -> FloatArray:
+        """As `Decay.innovations`."""
+        return decay.innovations(self.columns(values, decay.times), self.modes(values), noise)
+
+    def criterion(self, decay: Decay, values: FloatArray, free: BoolArray) -> float:
+        """Schwarz's in white noise, but for the sizes."""
+        return decay.misfit(self.left(decay, values)) + float(free.sum() * np.log(decay.told.sum()))
+
+    def told(self, decay: Decay, start: FloatArray, free: BoolArray, noise: FloatArray | None = None) -> Contender:
+        """The likeliest in noise of its own, from parameters and, where known, noise (n_outputs, 2) to start from."""
+        left = self.left(decay, start)
+        noise = self.noise(decay, start) if noise is None else noise.copy()
+        shaken, values, white = np.isfinite(noise[:, 0]), start.copy(), decay.misfit(left)
+        n_free, n_shaken, n = int(free.sum()), int(shaken.sum()), int(free.sum()) + 2 * int(shaken.sum())
+        low, high = self._within(free)
+        low = np.concatenate([low, np.tile([SHARES[0], -STEEPEST], n_shaken)])
+        high = np.concatenate([high, np.tile([SHARES[1], STEEPEST], n_shaken)])
+        steps = np.concatenate([self._steps(free), np.tile([1.0, 0.3], n_shaken)])
+        size: FloatArray = np.ones(len(noise))
+
+        def innovations(moved: FloatArray) -> FloatArray:
+            values[free], noise[shaken] = moved[:n_free], moved[n_free:].reshape(-1, 2)
+            return self.innovations(decay, values, noise) / size
+
+        def slopes(moved: FloatArray) -> FloatArray:
+            base, found = innovations(moved), np.zeros((*decay.seen.shape, n))
+            nudges = np.where(moved + NUDGE * steps > high, -NUDGE, NUDGE) * steps
+            which = [np.arange(n) == i for i in range(n_free)]
+            # noise of one output is nothing to the others
+            which += [np.arange(n) - n_free == np.maximum((np.arange(n) - n_free) // 2 * 2, 0) + i for i in range(2)]
+            for some in which[: n_free + 2 * bool(n_shaken)]:
+                moves = innovations(moved + nudges * some) - base
+                for at in np.flatnonzero(some):
+                    outputs = slice(None) if at < n_free else np.flatnonzero(shaken)[(at - n_free) // 2]
+                    found[:, outputs, at] = moves[:, outputs] / nudges[at]
+            return found.reshape(-1, n)
+
+        moved = np.clip(np.concatenate([start[free], noise[shaken].ravel()]), low + 1e-9, high - 1e-9)
+        for _ in range(AGAIN if n_shaken or decay.colour[:, 1:].any() else 0):
+            size = size * decay.size(innovations(moved))
+            fit = scipy.optimize.least_squares(
+                lambda moved: innovations(moved).ravel(),
+                moved,
+                jac=slopes,
+                bounds=(low, high),
+                x_scale=steps,
+                max_nfev=30,
+            )
+            moved = fit.x
+            left = innovations(moved) * size
+        return Contender(
+            misfit=decay.misfit(left),
+            white=white,
+            parameters=values,
+            noise=noise,
+            n_free=n_free,
+        )
 
 
-def oscillator_of(decay: Decay, linear: FloatArray) -> Contender | None:
+def oscillator_of(decay: Decay, linear: FloatArray, one: Contender) -> Contender | None:
     """The oscillator; None where it leaves far more than `linear` (n, n_outputs), which a linear model leaves."""
-    fits = [_fitted(decay, reading, STEPS, linear) for reading in range(3)]
-    return min((fit for fit in fits if fit is not None), key=lambda fit: fit.criterion(decay), default=None)
+    fits = [fit for reading in range(3) if (fit := _fitted(decay, reading, STEPS, linear))]
+    if not fits:
+        return None
+    best = [(law, *min(tried, key=lambda one: law.criterion(decay, *one))) for law, tried in fits]
+    law, values, free, noise = min(
+        ((law, values, free, law.noise(decay, values)) for law, values, free in best),
+        key=lambda one: (
+            decay.misfit(one[0].innovations(decay, one[1], one[3])) + one[2].sum() * np.log(decay.told.sum())
+        ),
+    )
+    found = [law.told(decay, values, free, noise)]
+    found += [_law(decay, 0).told(decay, one.parameters, alone, one.noise) for alone in LAWS]
+    return min(found, key=lambda fit: fit.criterion(decay))
 
 
-def mode_of(decay: Decay) -> Contender:
-    """The one mode that the oscillator is where nothing depends on its level."""
-    found = _fitted(decay, 0, (MODE,), None)
-    assert found is not None  # nothing was asked of it
-    return found
+def mode_of(decay: Decay) -> tuple[Decay, Contender]:
+    """The one mode that the oscillator is where nothing depends on its level; and the colour of the noise besides."""
+    fitted = _fitted(decay, 0, (MODE,), None)
+    assert fitted is not None  # nothing was asked of it
+    law, ((values, free),) = fitted
+    last, ringing = decay.last(len(decay.times) // 2), _linear(1)
+    fit = ringing.told(last, law.modes(values).ravel(), np.ones(2, dtype=np.bool_))
+    decay = decay.coloured(ringing.innovations(last, fit.parameters, fit.noise))
+    return decay, law.told(decay, values, free)
 
 
-def _fitted(decay: Decay, reading: int, steps: tuple[BoolArray, ...], linear: FloatArray | None) -> Contender | None:
+def _fitted(
+    decay: Decay, reading: int, steps: tuple[BoolArray, ...], linear: FloatArray | None
+) -> tuple[_Law, list[tuple[FloatArray, BoolArray]]] | None:
     """Of displacement, velocity or acceleration, which are one for a mode; with more numbers where few are too few.
 
     None as soon as more is left than `CLOSELY` times what a linear model leaves in the same rows.
+
+    Returns:
+        The law, its parameters and which are free.
     """
-    bent = [MOST_BENT] * 5
-    low = np.array([0.5 * decay.turns, 0.0, -np.inf, 0.0, 0.0, *(-value for value in bent)])
-    high = np.array([1.5 * decay.turns, HEAVIEST, np.inf, 0.5, MOST_BENT, *bent])
-
-    def columns(values: FloatArray, times: FloatArray) -> FloatArray:
-        return motion(values, times)[reading][:, np.newaxis]
-
+    law = _law(decay, reading)
     parts = [decay.first(n) for n in _longer(decay)]
     starts = [
         np.array([decay.turns, damping, phase, friction, *np.zeros(6)])
@@ -289,42 +308,50 @@ def _fitted(decay: Decay, reading: int, steps: tuple[BoolArray, ...], linear: Fl
         for damping in DAMPINGS
         for phase in 2 * np.pi * np.arange(PHASES) / PHASES
     ]
-    tried = [float(np.square(parts[0].left(columns(one, parts[0].times))).sum()) for one in starts]
+    tried = [float(np.square(law.left(parts[0], one)).sum()) for one in starts]
     values = starts[int(np.argmin(tried))]
-    found: list[Contender] = []
+    found = []
     for part in parts:
         most = np.inf if linear is None else CLOSELY**2 * float(np.square(linear[: len(part.times)][part.there]).sum())
         for number, free in enumerate(steps):
-            cost, values = _least(part, columns, values, (low, high), free)
+            cost, values = law.fitted(part, values, free)
             if cost <= most and part is not parts[-1]:
                 steps = steps[number:]
                 break
             if cost <= most:
-                found.append(_contender(decay, columns, values, int(free.sum())))
+                found.append((values, free))
         if cost > most:
             return None
-    return min(found, key=lambda fit: fit.criterion(decay))
+    return law, found
 
 
-def modes_of(decay: Decay, start: FloatArray, *, whole: bool) -> Contender:
-    """Linear modes (n_modes, 2) from angular frequencies [rad/sample] and damping ratios, free in every output."""
+def _law(decay: Decay, reading: int) -> _Law:
+    """The oscillator, of which displacement, velocity or acceleration is seen."""
+    bent = [MOST_BENT] * 5
+    return _Law(
+        columns=lambda values, times: motion(values, times)[reading][:, np.newaxis],
+        bounds=(
+            np.array([0.5 * decay.turns, 0.0, -np.inf, 0.0, 0.0, *(-value for value in bent)]),
+            np.array([1.5 * decay.turns, HEAVIEST, np.inf, 0.5, MOST_BENT, *bent]),
+        ),
+        modes=lambda values: np.array([at_level(values, 0.0)]),
+    )
 
-    def columns(values: FloatArray, times: FloatArray) -> FloatArray:
-        return waves(values.reshape(-1, 2), times)
 
+def _linear(n_modes: int) -> _Law:
+    """Modes, each an angular frequency [rad/sample] and a damping ratio, free in every output."""
+    return _Law(
+        columns=lambda values, times: waves(values.reshape(-1, 2), times),
+        bounds=(np.zeros(2 * n_modes), np.tile([np.pi, HEAVIEST], n_modes)),
+        modes=lambda values: values.reshape(-1, 2),
+    )
+
+
+def modes_of(decay: Decay, start: FloatArray) -> Contender:
+    """Linear modes from angular frequencies [rad/sample] and damping ratios (n_modes, 2)."""
     free = np.ones(start.size, dtype=np.bool_)
-    bounds = (np.zeros(start.size), np.tile([np.pi, HEAVIEST], len(start)))
-    values = start.ravel()
-    for part in [decay] if whole else [decay.first(n) for n in _longer(decay)]:
-        _, values = _least(part, columns, values, bounds, free)
-    return _contender(decay, columns, values, values.size)
-
-
-def waves(modes: FloatArray, times: FloatArray) -> FloatArray:
-    """(n, 2 n_modes) cosines and sines that die away, of angular frequencies and damping ratios (n_modes, 2)."""
-    angular, ratio = modes.T
-    rings = np.exp((-ratio + 1j * np.sqrt(1.0 - ratio**2)) * angular * times[:, np.newaxis])
-    return np.hstack([rings.real, rings.imag])
+    law = _linear(len(start))
+    return law.told(decay, law.fitted(decay, start.ravel(), free)[1], free)
 
 
 def two_modes_of(decay: Decay, one: FloatArray) -> Contender:
@@ -333,7 +360,12 @@ def two_modes_of(decay: Decay, one: FloatArray) -> Contender:
     beside = strongest_line(decay.times, np.where(decay.there, decay.left(waves(one[np.newaxis], decay.times)), np.nan))
     light = max(one[1], 1.0 / (turns * span))
     seconds = [(beside, light), (turns * (1.0 + 0.5 * light), 3.0 * light), (turns + np.pi / span, light)]
-    fits = [modes_of(decay, np.array([one, second]), whole=False) for second in seconds]
+    law, free, fits = _linear(2), np.ones(4, dtype=np.bool_), []
+    for second in seconds:
+        values = np.array([one, second]).ravel()
+        for part in (decay.first(n) for n in _longer(decay)):
+            _, values = law.fitted(part, values, free)
+        fits.append(values)
     width = max(light * turns, np.pi / span)
     pairs = [
         np.array([[one[0] - below * width, lighter * light], [one[0] + above * width, heavier * light]])
@@ -344,8 +376,15 @@ def two_modes_of(decay: Decay, one: FloatArray) -> Contender:
     pairs = [np.clip(pair, 1e-9, [np.pi - 1e-9, HEAVIEST - 1e-9]) for pair in pairs]
     tried = [float(np.square(decay.left(waves(pair, decay.times))).sum()) for pair in pairs]
     # what is close together shows in the whole record only: its first cycles are those of one mode
-    fits += [modes_of(decay, pairs[i], whole=True) for i in np.argsort(tried)[:PAIRS]]
-    return min(fits, key=lambda fit: fit.misfit)
+    fits += [law.fitted(decay, pairs[i].ravel(), free)[1] for i in np.argsort(tried)[:PAIRS]]
+    return law.told(decay, min(fits, key=lambda values: decay.misfit(law.left(decay, values))), free)
+
+
+def waves(modes: FloatArray, times: FloatArray) -> FloatArray:
+    """(n, 2 n_modes) cosines and sines that die away, of angular frequencies and damping ratios (n_modes, 2)."""
+    angular, ratio = modes.T
+    rings = np.exp((-ratio + 1j * np.sqrt(1.0 - ratio**2)) * angular * times[:, np.newaxis])
+    return np.hstack([rings.real, rings.imag])
 
 
 def exponentials(poles: ComplexArray, times: FloatArray) -> FloatArray:

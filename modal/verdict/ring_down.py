@@ -9,8 +9,7 @@ on its level, with two modes, free in every output, and with a few that are abou
 beat, and no line. Of poles far from the line that is asked about, other modes, harmonics, hum and drift, all of them
 may have as much as they like.
 
-What still drives a mode while it rings down makes errors that ring with it, in every output: so many of their values
-are worth one of white noise, in the criterion's misfits and in its prices.
+What still drives a mode while it rings down is noise of its own in each description (`modal.verdict.decay`).
 
 Where no such oscillator is near either, the poles side by side are still not found again one by one. Whoever is found
 among them is no mode for that: modes that are certain are most of what rings down.
@@ -28,19 +27,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal.modes.mode import Choice, ModalModel, Mode
+from modal.verdict.decay import Decay, directions, strongest_line
 from modal.verdict.judgement import FOUND_AGAIN, Answer, doubted
 from modal.verdict.oscillator import (
     CLOSELY,
     FEWEST,
     Contender,
-    Decay,
     at_level,
     exponentials,
     level_after,
     mode_of,
     modes_of,
     oscillator_of,
-    strongest_line,
     two_modes_of,
 )
 from modal.verdict.probability import FEWEST_TURNS
@@ -86,7 +84,7 @@ class RingDown:
         damping_ratio: of one mode that would lose as much in a cycle, at the same levels.
         friction: force of dry friction over that of the spring at the start.
         drag: damping ratio that the level at the start adds.
-        gain: rms that two modes leave over that which the oscillator leaves.
+        gain: rms that two modes leave over that which the oscillator leaves, one step ahead.
     """
 
     level: float
@@ -124,7 +122,9 @@ class RingDown:
 
     @property
     def _closer(self) -> str:
-        return f"{self.gain:.2g} times as closely as" if self.gain > MANIFEST else "more closely than"
+        if self.gain > MANIFEST:
+            return f"{self.gain:.2g} times as closely as"
+        return "more closely than" if self.gain > 1.0 else "by fewer numbers than"
 
     @property
     def doubt(self) -> str:
@@ -233,35 +233,33 @@ def contest_of(
         return None
     crowd = max(len(certain) for _, _, certain, _ in asked_of)
     misfits, totals, numbers, found = np.zeros(5), np.zeros(4), np.zeros(5), []
-    for decay, linear, certain, dt in asked_of:
-        own = oscillator_of(decay, linear)
+    for asked_decay, linear, certain, dt in asked_of:
+        decay, one = mode_of(asked_decay)
+        own = oscillator_of(decay, linear, one)
         if own is None and not whole and crowd <= FEW:
             return None
-        one = mode_of(decay)
         two = two_modes_of(decay, one.parameters)
-        few = modes_of(decay, certain, whole=True) if 0 < len(certain) <= FEW else two
-        n_values = decay.there.sum(axis=0)
-        # numbers of the law, and in every output sizes: one of the oscillator, and of the mode that it is, whose phase
-        # all outputs share; two of each mode that is free in every output
-        n_modes = (1, 2, few.n_free // 2, len(certain))
-        free = np.array([0 if own is None else own.n_free, *(one.n_free, two.n_free, few.n_free, 2 * len(certain))])
-        sizes = np.array([1, 1, *(2 * n for n in n_modes[1:])])
-        rivals = [fit.misfit for fit in (one, two, few)]
-        each = np.array([np.inf if own is None else own.misfit, *rivals, decay.misfit(np.nan_to_num(linear))])
-        worth = 1.0 if own is None else own.alike
-        misfits += each
-        prices = free * np.log(n_values.sum() / worth) + sizes * np.log(np.maximum(n_values / worth, 1.0)).sum()
-        totals += (each / worth + prices)[:4]  # Schwarz's criterion
+        few = modes_of(decay, certain) if 0 < len(certain) <= FEW else two
+        fits = (one, two, few) if own is None else (own, one, two, few)
+        n_values = decay.told.sum(axis=0)
+        # sizes in every output: one of the oscillator, and of the mode that it is, whose phase all outputs share; two
+        # of each mode that is free in every output
+        free, sizes = np.array([0, 0, 0, 0, 2 * len(certain)]), np.array([1, 1, 4, few.n_free, 2 * len(certain)])
+        totals[0], misfits[0] = (np.inf, np.inf) if own is None else (totals[0], misfits[0])
+        free[4 - len(fits) : 4] = [fit.n_free for fit in fits]
+        misfits[4 - len(fits) :] += [*(fit.white for fit in fits), decay.misfit(np.nan_to_num(linear))]
         numbers += free + sizes * len(n_values)
-        found.append((float(np.nanvar(decay.seen)), decay, own, two.misfit, dt))
+        totals[4 - len(fits) :] += [fit.criterion(decay) for fit in fits]  # Schwarz's
+        totals += sizes[:4] * np.log(n_values[decay.strong]).sum()
+        closer = np.inf if own is None else two.misfit - own.misfit
+        found.append((float(np.nanvar(decay.seen)), decay, own, closer, dt))
     # the end of what was cut may tell close modes apart
     cut = any(decay.turns * decay.times[-1] > 2 * np.pi * (MOST_CYCLES - 1) for _, decay, _, _, _ in found)
     by_chance = misfits + 2 * numbers  # Akaike's
     _, strongest, own, _, dt = max(found, key=lambda one: one[0])
     n_values = sum(int(decay.there.sum()) for _, decay, _, _, _ in found)
-    # likelier, and nearer than two modes with their more numbers: a beat is a line to whoever has few
-    likelier = bool(totals[0] + EVIDENCE < totals[1:4].min() and misfits[0] < misfits[2])
-    gain = float(np.exp((misfits[2] - misfits[0]) / (2 * n_values))) if likelier else 1.0
+    likelier = bool(totals[0] + EVIDENCE < totals[1:].min())
+    gain = float(np.exp(sum(closer for _, _, _, closer, _ in found) / (2 * n_values))) if likelier else 1.0
     return Contest(
         bent=_ring_down(own, strongest.times, dt, gain) if likelier and own is not None else None,
         few=bool(misfits[1:4].min() <= misfits[4] + 2 * np.log(CLOSELY) * n_values),
@@ -307,8 +305,10 @@ def _asked(record: Record, errors: FloatArray, modes: Sequence[Mode]) -> tuple[D
     near = (poles.imag != 0) & (np.abs(poles) < BAND * line) & (BAND * np.abs(poles) > line)
     certain = near & np.array([mode.verdict == "system" for mode in modes], dtype=np.bool_)
     few = np.column_stack([np.abs(poles), -poles.real / np.maximum(np.abs(poles), TINY)])[certain]
-    decay = Decay.of(times, seen / size, exponentials(poles[~near], times))
-    return decay, linear / size, few
+    beside = exponentials(poles[~near], times)
+    along = directions(seen / size, beside)
+    turned = np.where(there, np.nan_to_num(seen / size) @ along, np.nan)
+    return Decay.of(times, turned, beside), np.where(there, np.nan_to_num(linear / size) @ along, np.nan), few
 
 
 def carried(modes: ModalModel, *, n_steps: int, output_scale: FloatArray) -> float:
