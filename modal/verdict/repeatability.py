@@ -107,7 +107,7 @@ def repeat(
     else:
         first_half = tuple(_every_second_block(record.n_samples) for record in records)
         one = lag_gram(records, observer_order, scaling=scaling, rows=first_half)
-    other_order = max(_fewest(model_order, records[0].n_outputs), round(OBSERVER_SHARE * observer_order))
+    other_order = _other_observer(observer_order, model_order, records[0].n_outputs)
     other_ridge = max(SMALLEST_RIDGE, 3.0 * ridge)
     dt = records[0].dt
     sizes = _starts(model_order, grown)
@@ -132,11 +132,12 @@ def repeat(
             run = _judged_elsewhere(label, found.model, better, records, unseen)
             runs.append(replace(run, evidence=_evidence(whole_model, records, [~rows for rows in unseen])))
     largest = min(decomposition.rank, decomposition.max_order)
-    shorter = whole.truncated(min(other_order, observer_order))
-    cuts = [_model(shorter, other_ridge, scaling, dt, n) for n in sizes]
+    is_longer = other_order > observer_order
+    other = lag_gram(records, other_order, scaling=scaling) if is_longer else whole.truncated(other_order)
+    cuts = [_model(other, other_ridge, scaling, dt, n) for n in sizes]
     models = [model for model in cuts if model is not None]
     if models:
-        label = f"observer order {min(other_order, observer_order)}, ridge {other_ridge:.2g}"
+        label = f"observer order {other_order}, ridge {other_ridge:.2g}"
         modes = extract_modes(_refined(models, again, grown_to=model_order if grown else 0).model)
         runs.append(Rerun(label=label, change="observer", modes=modes))
     others = _other_orders(model_order, 2 * largest if grown else largest)
@@ -150,7 +151,7 @@ def repeat(
         for n, _ in asked
     }
     if refined is not None and _off(tried, refined, again):
-        tried = _cut_otherwise(tried, again, grown, lambda n: _model(shorter, other_ridge, scaling, dt, n))
+        tried = _cut_otherwise(tried, again, grown, lambda n: _model(other, other_ridge, scaling, dt, n))
     for n, count in asked:
         modes = extract_modes(tried[n].model)
         change: Change = "lower order" if n < model_order else "higher order"
@@ -353,8 +354,22 @@ def _carried(gram: LagGram, model_order: int) -> LagGram:
 
 
 def _fewest(model_order: int, n_outputs: int) -> int:
-    """An observer of order p holds at most p times the number of outputs poles."""
-    return -(-model_order // n_outputs)
+    """The order of an observer that holds modes which all outputs see at once, as they see most.
+
+    One lag tells of as many modes as there are outputs where they are, and a second where they go.
+    """
+    return 2 * -(-model_order // (2 * n_outputs))
+
+
+def _other_observer(order: int, model_order: int, n_outputs: int) -> int:
+    """A shorter observer, or a longer one where a shorter holds no such model.
+
+    Example:
+        >>> _other_observer(20, 6, 3), _other_observer(2, 2, 2)
+        (14, 3)
+    """
+    shorter = max(_fewest(model_order, n_outputs), round(OBSERVER_SHARE * order))
+    return shorter if shorter < order else max(order + 1, round(order / OBSERVER_SHARE))
 
 
 def _other_orders(model_order: int, largest: int) -> list[int]:

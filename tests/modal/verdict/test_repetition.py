@@ -1,6 +1,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from signals import random_inputs, with_noise
 from systems import initial_state, modal_system, simulate
 
@@ -73,12 +74,28 @@ def test_a_half_sees_its_own_rows_only():
 
 
 def test_the_other_observer_can_hold_the_model():
-    """Of an order below n / n_outputs no observer holds n poles."""
+    """Of an order below n / n_outputs no observer holds n poles: a longer one is asked."""
     _, record = a_record(4)
     labels = [run.label for run in repeated([record], observer_order=4, model_order=8).runs]
-    assert "observer order 4, ridge 0.0003" in labels
+    assert "observer order 6, ridge 0.0003" in labels
     labels = [run.label for run in repeated([record], observer_order=10, ridge=0.0, model_order=4).runs]
     assert "observer order 7, ridge 1e-06" in labels
+
+
+def test_an_observer_of_two_lags_is_not_shortened_below_what_one_mode_takes():
+    """Outputs that see one mode alike tell in one lag where it is, not where it goes: a false mode of other damping."""
+    rng = np.random.default_rng(6)
+    system = modal_system(rng, frequencies=[11.0], damping_ratios=[0.02], n_inputs=1, n_outputs=1)
+    inputs = random_inputs(rng, 1500, 1)
+    seen = simulate(system, inputs) * [1.0, -0.4]
+    record = Record(inputs, with_noise(rng, seen, 0.01), system.dt).detrended()
+    (other,) = [
+        run
+        for run in repeated([record], observer_order=2, ridge=0.0, model_order=2, refinement_steps=8).runs
+        if run.change == "observer"
+    ]
+    assert other.label == "observer order 3, ridge 1e-06"
+    assert [mode.frequency for mode in other.modes.modes] == pytest.approx([11.0], rel=1e-3)
 
 
 def test_a_half_gets_an_observer_that_its_rows_can_carry():
