@@ -125,6 +125,21 @@ def fit_all_rows(
     Raises:
         NumericalError: every trial is unstable on all rows.
     """
+
+    def ended(search: Search, fitted: FinalModel) -> tuple[Search, FinalModel]:
+        if refinement == "none":
+            return search, fitted
+        return search, with_noise(
+            records,
+            fitted,
+            fitted.cut,
+            fitted.refined,
+            measured=measured,
+            feedback=feedback,
+            order_given=len(found.limits.model_orders) == 1,
+            progress=progress,
+        )
+
     done: dict[tuple[int, float], FinalModel | None] = {}
     fallback: tuple[Search, FinalModel] | None = None
     n_made = 0
@@ -134,30 +149,18 @@ def fit_all_rows(
         if fitted is None or model is None:
             continue
         for start in _starts(found, trial, model, of_folds=refinement == "auto" and not n_made):
-            made = replace(found, chosen=trial), replace(fitted, cut=model, realisation=model)
+            search, last = replace(found, chosen=trial), replace(fitted, cut=model, realisation=model)
             if refinement == "auto":
-                refined = _refined(
-                    records,
-                    fitted,
-                    model,
-                    trial,
-                    start=start,
-                    n_rest=n_rest,
-                    by=found.ground.by,
-                    feedback=feedback,
-                    order_given=len(found.limits.model_orders) == 1,
-                    measured=measured,
-                    progress=progress,
-                )
-                made = made[0], refined
-            if not model.n_inputs or keeps_promise(made[1].realisation, records, trial):
-                return made
-            fallback = fallback or made
+                last = _refined(records, last, trial, start=start, n_rest=n_rest, by=found.ground.by, measured=measured)
+            # a free run follows no wind: the likelier model of what wind moves too explains less of it, and is right
+            if not model.n_inputs or keeps_promise(last.realisation, records, trial):
+                return ended(search, last)
+            fallback = fallback or (search, last)
         n_made += 1
         if n_made == MOST_MADE:
             break
     if fallback is not None:
-        return fallback
+        return ended(*fallback)
     raise NumericalError(
         f"all {len(found.trials)} models that were stable on parts of the data are unstable on the whole, so none can "
         "be trusted; give a longer record, or remove a drift from the outputs."
@@ -230,40 +233,27 @@ def _decomposed(records: Sequence[Record], trial: Trial) -> FinalModel | None:
 def _refined(
     records: Sequence[Record],
     fitted: FinalModel,
-    model: Realisation,
     trial: Trial,
     *,
     start: Realisation,
     n_rest: int,
     by: Folds,
-    feedback: bool,
-    order_given: bool,
     measured: Sequence[BoolArray],
-    progress: Callable[[float], None],
 ) -> FinalModel:
-    refined = None
-    if model.n_inputs:
-        refined = refined_model(
-            records,
-            start,
-            trial.refinement_steps,
-            weak_modes=trial.weak_modes,
-            answers=trial.answers,
-            evidence=largest_model(fitted, trial.model_order),
-            n_rest=n_rest,
-            by=by,
-            measured=measured,
-        )
-    return with_noise(
+    if not start.n_inputs:
+        return fitted
+    refined = refined_model(
         records,
-        fitted,
-        model,
-        refined,
+        start,
+        trial.refinement_steps,
+        weak_modes=trial.weak_modes,
+        answers=trial.answers,
+        evidence=largest_model(fitted, trial.model_order),
+        n_rest=n_rest,
+        by=by,
         measured=measured,
-        feedback=feedback,
-        order_given=order_given,
-        progress=progress,
     )
+    return fitted if refined is None else replace(fitted, refined=refined, realisation=refined.realisation)
 
 
 def largest_model(fitted: FinalModel, order: int) -> Realisation:

@@ -216,7 +216,8 @@ class _Law:
         left = self.left(decay, start)
         noise = self.noise(decay, start) if noise is None else noise.copy()
         shaken, values, white = np.isfinite(noise[:, 0]), start.copy(), decay.misfit(left)
-        n_free, n_shaken, n = int(free.sum()), int(shaken.sum()), int(free.sum()) + 2 * int(shaken.sum())
+        n_free, n_shaken = int(free.sum()), int(shaken.sum())
+        n = n_free + 2 * n_shaken
         low, high = self._within(free)
         low = np.concatenate([low, np.tile([SHARES[0], -STEEPEST], n_shaken)])
         high = np.concatenate([high, np.tile([SHARES[1], STEEPEST], n_shaken)])
@@ -230,14 +231,12 @@ class _Law:
         def slopes(moved: FloatArray) -> FloatArray:
             base, found = innovations(moved), np.zeros((*decay.seen.shape, n))
             nudges = np.where(moved + NUDGE * steps > high, -NUDGE, NUDGE) * steps
-            which = [np.arange(n) == i for i in range(n_free)]
-            # noise of one output is nothing to the others
-            which += [np.arange(n) - n_free == np.maximum((np.arange(n) - n_free) // 2 * 2, 0) + i for i in range(2)]
-            for some in which[: n_free + 2 * bool(n_shaken)]:
-                moves = innovations(moved + nudges * some) - base
-                for at in np.flatnonzero(some):
-                    outputs = slice(None) if at < n_free else np.flatnonzero(shaken)[(at - n_free) // 2]
-                    found[:, outputs, at] = moves[:, outputs] / nudges[at]
+            for i in range(n_free):
+                found[..., i] = (innovations(moved + nudges * (np.arange(n) == i)) - base) / nudges[i]
+            for first in (n_free, n_free + 1) if n_shaken else ():  # noise of one output is nothing to the others
+                own = np.arange(first, n, 2)
+                moves = innovations(moved + nudges * np.isin(np.arange(n), own)) - base
+                found[:, np.flatnonzero(shaken), own] = moves[:, shaken] / nudges[own]
             return found.reshape(-1, n)
 
         moved = np.clip(np.concatenate([start[free], noise[shaken].ravel()]), low + 1e-9, high - 1e-9)
