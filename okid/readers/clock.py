@@ -1,4 +1,4 @@
-r"""Stamps of a clock in a text table, as seconds: where they stand in a row, how they are written, when they begin.
+r"""Times of samples: stamps of a clock in a text table as seconds, and the step of the grid that times stand on.
 
 A stamp is a date and a clock in one cell or in two neighbouring ones, a clock by itself, or the minutes and seconds
 that a spreadsheet leaves of it (`59:59.9`, then `00:00.0`). Read are ISO 8601, its blank in place of the T, 2026/05/04,
@@ -10,6 +10,10 @@ each other. Where nothing does, as in 26.05.04, the clock is read as one without
 
 Seconds count from the first whole second of the table, and what that is counts from the start of 1970, UTC where the
 stamps state an offset; without a date from midnight, without hours from the full hour.
+
+Times as numbers, from any format, give one step: numbers without a unit are seconds, or what the date that they give
+says (milliseconds and finer since 1970, days of spreadsheets). A grid is uniform where its times lie on it within a
+part of a step. Times that were rounded to their last digit may lie further off; they tell the step between two bounds.
 """
 
 import re
@@ -278,7 +282,7 @@ def _with_origin(clock: Clock, lines: Sequence[bytes], *, ends: bool) -> Clock |
     """
     pattern = clock.pattern()
     rows = [found for line in lines[clock.first :] if (found := pattern.match(line))]
-    others = [found["before"] + line[found.end() :] for line in lines[clock.first :] if (found := pattern.match(line))]
+    others = (found["before"] + found.string[found.end() :] for found in rows)
     comma = clock.delimiter != b"," and any(re.search(rb"\d,\d", other) for other in others)
     month_first = _month_first({found["date"] for found in rows}) if "date" in pattern.groupindex else None
     known = replace(clock, dated=month_first is not None, month_first=month_first, decimal=b"," if comma else b".")

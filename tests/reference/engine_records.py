@@ -26,18 +26,23 @@ def run(masses, stiffnesses, dampings, inputs, *, law=None, element=0, n_steps=6
         return _run_one(masses[0], stiffnesses[0], dampings[0], inputs, law, n_steps=n_steps, h=dt / n_steps, dt=dt)
     _, damping, stiffness = chain_matrices(masses, stiffnesses, dampings)
     n_dofs = len(masses)
+    per_mass = 1.0 / np.asarray(masses, dtype=float)
     direction = np.zeros(n_dofs)
     direction[element] = 1.0
     if element:
         direction[element - 1] = -1.0
-    push = np.zeros((len(inputs), n_dofs))
-    push[:, : inputs.shape[1]] = inputs
+    states = np.block(
+        [[np.zeros((n_dofs, n_dofs)), np.eye(n_dofs)], [-per_mass[:, None] * np.hstack([stiffness, damping])]]
+    )
+    own = np.kron(np.eye(2), direction)  # displacement and velocity of the element
+    pull = np.r_[np.zeros(n_dofs), per_mass * direction]
+    push = np.zeros((len(inputs), 2 * n_dofs))
+    push[:, n_dofs : n_dofs + inputs.shape[1]] = inputs * per_mass[: inputs.shape[1]]
     x, h, found = np.zeros(2 * n_dofs), dt / n_steps, np.empty((len(inputs), n_dofs))
 
     def slope(s, force, t):
-        d, v = s[:n_dofs], s[n_dofs:]
-        extra = 0.0 if law is None else law(direction @ d, direction @ v, t)
-        return np.concatenate([v, (force - stiffness @ d - damping @ v - extra * direction) / masses])
+        alone = states @ s + force
+        return alone if law is None else alone - law(*(own @ s), t) * pull
 
     for k, force in enumerate(push):
         found[k] = x[:n_dofs]

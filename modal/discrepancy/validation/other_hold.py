@@ -146,7 +146,7 @@ MOST_OF_IT = 0.95
 """Call that frequency the highest that matters below which this share of an output's power above the noise lies."""
 
 
-def highest_frequency(records: tuple[Record, ...], floor: FloatArray) -> float:
+def _highest_above_noise(records: tuple[Record, ...], floor: FloatArray) -> float:
     """Frequency [Hz] below which nearly all of the outputs' power above the noise lies; 0 where there is none.
 
     Args:
@@ -170,7 +170,7 @@ def hold_words(diagnosis: Diagnosis) -> str:
     first = diagnosis.fit[0]
     if not first.n_inputs:
         return ""
-    frequency = highest_frequency(diagnosis.fit, np.asarray(diagnosis.noise_floor.variance)[: len(diagnosis.fit)])
+    frequency = _highest_above_noise(diagnosis.fit, np.asarray(diagnosis.noise_floor.variance)[: len(diagnosis.fit)])
     shift = np.pi * frequency * first.dt
     unexplained = (not _explains(diagnosis) or _made_by_input(diagnosis)) and not _left_over(diagnosis) > shift
     if shift == 0.0 or not (unexplained or has_half_a_sample(diagnosis)):
@@ -222,7 +222,7 @@ def cut_into_spans(
         >>> [(one.name, one.n_samples) for one in spans], origin
         ([('run, span 1', 500), ('run, span 2', 500), ('run, span 3', 500), ('run, span 4', 500)], (0, 0, 0, 0))
     """
-    frequency = max(highest_frequency(tuple(records), floor), 1e-12)
+    frequency = max(_highest_above_noise(tuple(records), floor), 1e-12)
     wanted = max(PERIODS / (frequency * records[0].dt), fewest, FEWEST_SAMPLES)
     spans: list[Record] = []
     origin: list[int] = []

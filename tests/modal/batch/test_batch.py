@@ -15,10 +15,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from remembered import remembered
 
 import modal
 import okid
-from modal.batch import Batch, ExecutorError, running
+from modal.batch import Batch, ExecutorError, running, task
 from modal.batch.running import WorkerDiedError, Workers
 from modal.command.main import status as _status
 from modal.report import folder
@@ -71,11 +72,22 @@ def command(tmp_path, *arguments, sitecustomize=""):
     )
 
 
+identified = remembered(task.identify)
+
+
+@pytest.fixture
+def known(monkeypatch):
+    """In this process the same records are identified once: what is asked is what a batch does around that."""
+    monkeypatch.setattr(task, "identify", identified)
+
+
 @pytest.fixture(scope="module")
 def sequential(tmp_path_factory):
     """The batch of the four runs, made once; nobody writes to it."""
     folder = tmp_path_factory.mktemp("sequential")
-    return modal.identify_batch(write_runs(folder / "runs"), folder / "out", **QUICK)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(task, "identify", identified)
+        return modal.identify_batch(write_runs(folder / "runs"), folder / "out", **QUICK)
 
 
 def test_tables_hold_every_mode_of_every_record(sequential):
@@ -107,7 +119,7 @@ def test_executors_leave_the_same_bytes(runs, sequential, tmp_path):
     assert len(kept(sequential.folder)) == 2 * 4 + 2
 
 
-def test_a_second_call_works_on_nothing_and_a_changed_file_anew(runs, tmp_path):
+def test_a_second_call_works_on_nothing_and_a_changed_file_anew(known, runs, tmp_path):
     sequential = modal.identify_batch(runs, tmp_path / "out", **QUICK)
     stamps = {path: path.stat().st_mtime_ns for path in sequential.folder.rglob("result.npz")}
     before = sequential.modes
@@ -127,7 +139,7 @@ def test_a_second_call_works_on_nothing_and_a_changed_file_anew(runs, tmp_path):
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes with a name are of Unix")
-def test_a_pipe_is_a_failure_and_not_waited_for(runs, tmp_path):
+def test_a_pipe_is_a_failure_and_not_waited_for(known, runs, tmp_path):
     os.mkfifo(tmp_path / "pipe.csv")
     found = rows(modal.identify_batch([runs / "run_0.csv", tmp_path / "pipe.csv"], tmp_path / "out", **QUICK))
     assert (found["run_0"]["status"], found["pipe"]["status"]) == ("done", "failed")
@@ -200,7 +212,7 @@ def test_a_worker_that_dies_once_costs_nothing(runs, tmp_path):
     assert Path(flag).exists()
 
 
-def test_what_a_killed_parent_finished_is_kept(runs, sequential, tmp_path):
+def test_what_a_killed_parent_finished_is_kept(known, runs, sequential, tmp_path):
     for seed in range(4, 7):
         write_run(runs / f"run_{seed:02d}.csv", seed)
     out = tmp_path / "out"
@@ -223,7 +235,7 @@ def test_what_a_killed_parent_finished_is_kept(runs, sequential, tmp_path):
     assert all(ours[name] == content for name, content in kept(sequential.folder).items() if "run_" in name)
 
 
-def test_a_broken_executor_is_one_sentence_and_finished_results_stay(runs, tmp_path):
+def test_a_broken_executor_is_one_sentence_and_finished_results_stay(known, runs, tmp_path):
     out = tmp_path / "out"
     with (
         ProcessPoolExecutor(1, mp_context=get_context("spawn")) as executor,
@@ -290,7 +302,7 @@ def test_channels_that_a_record_lacks_are_nan_in_the_shapes(tmp_path):
     assert np.isfinite([*shapes["x"][:2], shapes["y"][0], shapes["y"][2]]).all()
 
 
-def test_a_file_that_was_cut_off_at_a_whole_row_is_named(runs, tmp_path):
+def test_a_file_that_was_cut_off_at_a_whole_row_is_named(known, runs, tmp_path):
     cut = runs / "run_2.csv"
     cut.write_text("".join(cut.read_text().splitlines(keepends=True)[:130])[:-4])  # within the last number
     told = {name: row["message"] for name, row in rows(modal.identify_batch(runs, tmp_path / "out", **QUICK)).items()}
@@ -298,7 +310,7 @@ def test_a_file_that_was_cut_off_at_a_whole_row_is_named(runs, tmp_path):
     assert "129 samples (most: 250), so its file may be cut off" in told["run_2"]
 
 
-def test_a_dead_channel_is_nan_in_the_shapes_and_named(runs, tmp_path):
+def test_a_dead_channel_is_nan_in_the_shapes_and_named(known, runs, tmp_path):
     dead = runs / "run_2.csv"
     heading, *lines = dead.read_text().splitlines()
     dead.write_text("\n".join([heading, *(f"{line.rpartition(',')[0]},0" for line in lines)]) + "\n")
@@ -328,9 +340,7 @@ def test_wrong_use_is_one_sentence(runs, tmp_path, capsys):
     assert "cannot be a folder" in refused(str(runs), "-o", str(tmp_path / "file"), "--workers", "1")
 
 
-def test_a_full_disk_stops_with_one_sentence_and_keeps_what_is_done(runs, tmp_path, monkeypatch):
-    from modal.batch import task
-
+def test_a_full_disk_stops_with_one_sentence_and_keeps_what_is_done(known, runs, tmp_path, monkeypatch):
     write, calls = task.keep_result, []
 
     def full(result, path, *, files):

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from remembered import remembered
 
 import modal.command.run
 from modal.command.main import status
@@ -45,6 +46,15 @@ def ran(*words, before="", environment=(), **streams):
         timeout=60,
         **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, **streams},
     )
+
+
+identified = remembered(pipeline.identify)
+
+
+@pytest.fixture
+def known(monkeypatch):
+    """The same records are identified once: what is asked is what the command does around that."""
+    monkeypatch.setattr(modal.command.run, "identify", identified)
 
 
 CHECK = ("check", "a.csv", "--inputs", "force")
@@ -207,7 +217,7 @@ def test_too_little_memory_is_a_sentence(data, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("moment", ["identify", "write", "commit"])
-def test_a_folder_that_is_removed_during_the_run_is_a_sentence(data, moment, monkeypatch, capsys):
+def test_a_folder_that_is_removed_during_the_run_is_a_sentence(data, known, moment, monkeypatch, capsys):
     """Whenever it goes: nothing is made anew where it was, and nothing half-written is left."""
     (data / "disk").mkdir()
     where = {"write": writing, "commit": folder}.get(moment, modal.command.run)
@@ -245,7 +255,7 @@ def test_what_memory_cannot_hold_is_said_before_the_work(data, monkeypatch, caps
         RuntimeError("Failed to spawn background thread 'batcher': Resource temporarily unavailable (os error 11)"),
     ],
 )
-def test_a_library_that_finds_no_room_is_the_same_sentence(data, monkeypatch, capsys, error):
+def test_a_library_that_finds_no_room_is_the_same_sentence(data, known, monkeypatch, capsys, error):
     def full(*_arguments, **_options):
         raise error
 
@@ -271,7 +281,7 @@ def test_output_that_finds_no_room_is_a_sentence_and_the_result_is_whole(data):
     assert (data / "out" / "result.npz").is_file()
 
 
-def test_long_work_is_said_beforehand_in_one_line_and_short_work_is_not(data, monkeypatch, capsys):
+def test_long_work_is_said_beforehand_in_one_line_and_short_work_is_not(data, known, monkeypatch, capsys):
     run = ["run", "a.csv", "--inputs", "force", "-o", "out", *CHOICES]
     for arguments, memory in ((run, 0.6), (["check", "a.csv"], 0.3)):
         monkeypatch.setattr("modal.command.terminal.Shown.LONG", 60.0)

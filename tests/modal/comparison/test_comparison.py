@@ -15,7 +15,7 @@ from systems import random_system, simulate
 
 from modal.comparison import words
 from modal.comparison.changes import compare_results
-from modal.comparison.shifts import TOO_FAR, holm, match_modes, pair_costs, read_result, summary_of
+from modal.comparison.shifts import MOST_MODES, TOO_FAR, holm, match_modes, pair_costs, read_result, summary_of
 from modal.identification.pipeline import identify
 from modal.report.writing import keep_result
 from okid.errors import InvalidDataError, UnreadableFileError
@@ -425,7 +425,7 @@ SPOILED = [
     lambda one: one["modes"][0].update(shape={"array": "none"}),
     lambda one: one.update(outputs=one["outputs"][:2]),
     lambda one: one.update(modes=[1]),
-    lambda one: one.update(modes=one["modes"] * 2000),
+    lambda one: one.update(modes=one["modes"] * (MOST_MODES // len(one["modes"]) + 1)),
     lambda one: one.update(choices=[{"what": "x"}]),
 ]
 

@@ -80,7 +80,7 @@ def test_what_is_left_runs_with_sums_of_the_inputs_of_integrators():
     rng = np.random.default_rng(0)
     shaft = np.array([[0, 1, 0, 0], [-900, -0.5, 900, 0.5], [0, 0, 0, 1], [1500, 0.5 / 0.6, -1500, -0.5 / 0.6]])
     A, B, C, _, _ = scipy.signal.cont2discrete((shaft, np.eye(4)[:, 1:2], np.eye(4)[[1, 3]], np.zeros((2, 1))), 0.01)
-    torque, speeds, state = rng.standard_normal(6000), np.zeros((6000, 2)), np.zeros(4)
+    torque, speeds, state = rng.standard_normal(3000), np.zeros((3000, 2)), np.zeros(4)
     for row, pull in zip(speeds, torque, strict=True):
         row[:] = C @ state
         state = A @ state + B[:, 0] * pull

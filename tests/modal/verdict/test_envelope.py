@@ -1,5 +1,7 @@
 """A line whose frequency wanders has a steady size, a resonance under random forces has not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.signal
@@ -155,6 +157,35 @@ def test_what_follows_a_tone_of_the_forces_is_no_line():
     told = told_of_lines_beside(model, [Record(force, motion + noise, DT)], [0.1 * motion + noise])
     assert told.warnings == ()
     assert told.modes.modes == model.modes
+
+
+def test_the_free_motion_of_a_driven_mode_that_hardly_decays_is_no_line():
+    """What it moved with before the record begins is left beside what the forces make, and stays a sinusoid."""
+    rng = np.random.default_rng(12)
+    force, noise = rng.standard_normal(6000), 0.1 * rng.standard_normal((6000, 2))
+    shape, damping = [1.0, 0.5], 1e-6
+    free = 2.0 * np.cos(2.0 * np.pi * 11.0 * DT * np.arange(6000))
+    left = noise + np.outer(free, shape)
+    record = Record(force, np.outer(driven(rng, 11.0, damping, force), shape) + left, DT)
+    told = told_of_lines_beside(system((11.0, damping, shape), gains=[1.0]), [record], [left])
+    assert told.warnings == ()
+    assert [mode.verdict for mode in told.modes] == ["system"]
+    told = told_of_lines_beside(system((17.0, damping, shape), gains=[1.0]), [record], [left])
+    assert told.warnings[0].startswith("A line stands at 11 Hz")
+
+
+def test_a_line_that_an_uncertain_pole_follows_by_chance_is_one_all_the_same():
+    """What that pole makes of the forces hides the line's steady size in what is left, and is no motion of a mode."""
+    rng = np.random.default_rng(13)
+    force, noise = rng.standard_normal(12_000), 0.1 * rng.standard_normal((12_000, 2))
+    shape, line = [0.4, -1.0], wandering(rng, 25.0, 0.003, 12_000)
+    made = np.outer(driven(rng, 25.02, 0.003, force), shape)
+    seen = 0.7 * made.std() * np.outer(line, shape) + noise
+    model = system((25.02, 0.003, shape), gains=[1.0])
+    uncertain = replace(model, modes=(replace(model.modes[0], verdict="doubtful"),))
+    (said,) = told_of_lines_beside(uncertain, [Record(force, seen, DT)], [seen - made]).warnings
+    assert said.startswith("A line wanders over 24.")
+    assert steady_lines(model, [Record([], seen - made, DT)], everywhere=True) == ()
 
 
 def test_what_unmeasured_forces_make_is_no_line():

@@ -38,18 +38,22 @@ def program(record):
 def spring(inputs, *, cubic=0.0, dt=DT, substeps=10):
     """x'' + 1.2 x' + 400 x + cubic x^3 = u, u held; the classical Runge-Kutta rule."""
 
-    def rate(state, force):
-        return np.array([state[1], force - 400.0 * state[0] - 1.2 * state[1] - cubic * state[0] ** 3])
+    def pull(x, v, force):
+        return force - 400.0 * x - 1.2 * v - cubic * x * x * x
 
-    state, h, outputs = np.zeros(2), dt / substeps, np.empty((len(inputs), 1))
-    for k, force in enumerate(inputs[:, 0]):
-        outputs[k] = state[0]
+    x, v, h, outputs = 0.0, 0.0, dt / substeps, np.empty((len(inputs), 1))
+    for k, force in enumerate(inputs[:, 0].tolist()):  # plain numbers: a tenth of the time of arrays of two
+        outputs[k] = x
         for _ in range(substeps):
-            one = rate(state, force)
-            two = rate(state + h / 2 * one, force)
-            three = rate(state + h / 2 * two, force)
-            four = rate(state + h * three, force)
-            state = state + h / 6 * (one + 2 * two + 2 * three + four)
+            one = pull(x, v, force)
+            x2, v2 = x + 0.5 * h * v, v + 0.5 * h * one
+            two = pull(x2, v2, force)
+            x3, v3 = x + 0.5 * h * v2, v + 0.5 * h * two
+            three = pull(x3, v3, force)
+            x4, v4 = x + h * v3, v + h * three
+            four = pull(x4, v4, force)
+            x += h / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4)
+            v += h / 6.0 * (one + 2.0 * two + 2.0 * three + four)
     return outputs
 
 
