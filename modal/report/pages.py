@@ -319,6 +319,7 @@ def _data_values(result: Identification, setting: Setting) -> dict[str, object]:
         "findings": findings[: PageLimits.MOST_FINDINGS],
         "n_more_findings": max(0, len(findings) - PageLimits.MOST_FINDINGS),
         "data_sentences": words.data_sentences(result),
+        "inputs_measured": result.channels.n_inputs > 0 and result.record_kind != "decay",
     }
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from modal.identification.result import Identification
+from modal.modes.extraction import NYQUIST_MARGIN
 from modal.modes.mode import Mode
 from modal.verdict.judgement import DOUBTED, FOUND_AGAIN, LEAST_PART, SYSTEM_FROM
 from modal.verdict.probability import SPREAD
@@ -78,13 +79,19 @@ def next_sentences(result: Identification, quality: "DataQuality | None" = None)
     if result.warnings:
         what = "the warning" if len(result.warnings) == 1 else f"the {counted(len(result.warnings))} warnings"
         said.append(f"Read {what} before you quote a number.")
-    if any(mode.verdict == "doubtful" and mode.kind == "oscillatory" for mode in result.modes):
-        more = "A second record of this test, identified together with it," if result.records else "More averages"
-        said.append(f"{more} may settle the doubtful poles.")
     said += _for_the_damping(result)
     if not said:
         said.append("You can quote these modes, with their 95 % intervals (±).")
+    if any(_more_may_settle(mode, result) for mode in result.modes):
+        more = "A second record of this test, identified together with it," if result.records else "More averages"
+        said.append(f"{more} may settle the doubtful poles.")
     return (*said, *_for_the_forces(result))
+
+
+def _more_may_settle(mode: Mode, result: Identification) -> bool:
+    """Whether a doubtful pole may be a vibration mode: below the Nyquist frequency, and near none of its images."""
+    nyquist = 0.5 / result.modes.dt
+    return mode.verdict == "doubtful" and mode.kind == "oscillatory" and mode.frequency < (1 - NYQUIST_MARGIN) * nyquist
 
 
 def _for_the_damping(result: Identification) -> tuple[str, ...]:

@@ -197,6 +197,21 @@ def test_intervals_are_shown_when_known(identification):
     assert ratio_text(np.nan) == "–"
 
 
+def test_certain_modes_are_quoted_beside_doubtful_poles(identification):
+    """And no second record is asked for where the doubtful pole lies where no record shows a mode."""
+    first, second, third = identification.modes.system
+
+    def said(doubtful):
+        modes = replace(identification.modes, modes=(first, second, replace(doubtful, verdict="doubtful")))
+        return " ".join(next_sentences(replace(identification, modes=modes, warnings=())))
+
+    nyquist = 0.5 / identification.modes.dt
+    assert said(third).startswith("You can quote these modes")
+    assert "may settle the doubtful poles" in said(third)
+    assert "doubtful" not in said(replace(third, frequency=1.03 * nyquist))
+    assert "doubtful" not in said(replace(third, kind="real"))
+
+
 def test_what_comes_next_is_one_thing_that_waits_for_no_other(identification):
     warned = replace(with_system(identification, 0), warnings=("Look.", "Look again."))
     lost = SimpleNamespace(level="bad", what="missing samples", where="force", channels=())
