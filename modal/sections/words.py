@@ -6,10 +6,11 @@ all take their words from here, so that they cannot disagree.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from modal.identification.result import Identification
+from modal.identification.words import Judgement, trust_of
 from modal.modes.extraction import NYQUIST_MARGIN
 from modal.modes.mode import Mode
 from modal.verdict.judgement import DOUBTED, FOUND_AGAIN, LEAST_PART, SYSTEM_FROM
@@ -31,6 +32,7 @@ from okid.errors import visible
 
 if TYPE_CHECKING:
     from modal.acceptance.check import LimitOutcome
+    from modal.preparation.channel import Finding
     from modal.quality import DataQuality
 
 
@@ -65,10 +67,7 @@ def next_sentences(result: Identification, quality: "DataQuality | None" = None)
 
     Data that are bad are mended before anything is measured again or quoted; without a mode there is nothing to quote.
     """
-    used = {*result.channels.input_names, *result.channels.output_names}  # a dead output is left out: it spoils nothing
-    found = () if quality is None else quality.findings
-    bad = [one for one in found if one.level == "bad" and (not one.channels or used & set(one.channels))]
-    if bad:
+    if bad := _bad(result, quality):
         what = f"{bad[0].what}, {visible(bad[0].where)}"
         return (f"Mend or replace the data ({what}) and identify again; until then all modes are provisional.",)
     if not result.modes.system:
@@ -86,6 +85,21 @@ def next_sentences(result: Identification, quality: "DataQuality | None" = None)
         more = "A second record of this test, identified together with it," if result.records else "More averages"
         said.append(f"{more} may settle the doubtful poles.")
     return (*said, *_for_the_forces(result))
+
+
+def _bad(result: Identification, quality: "DataQuality | None") -> "list[Finding]":
+    """The faults that spoil what the modes were identified from; a dead output is left out and spoils nothing."""
+    used = {*result.channels.input_names, *result.channels.output_names}
+    found = () if quality is None else quality.findings
+    return [one for one in found if one.level == "bad" and (not one.channels or used & set(one.channels))]
+
+
+def judgement_of(result: Identification, quality: "DataQuality | None") -> Judgement:
+    """What `trust_of` says, and no more than care where the data are to be mended before anything is quoted."""
+    judgement = trust_of(result)
+    if judgement.trust != "carried" or not _bad(result, quality):
+        return judgement
+    return replace(judgement, trust="with care", label="Use with care")
 
 
 def _more_may_settle(mode: Mode, result: Identification) -> bool:
