@@ -16,7 +16,11 @@ from okid.record import InputHold
 
 Inputs = Annotated[
     list[str] | None,
-    typer.Option(metavar="NAMES", help="Names of the inputs, with commas between; output only unless given."),
+    typer.Option(
+        metavar="NAMES",
+        help="Names of the inputs, with commas between, or a pattern ('force*'); unless given what the file states, "
+        "else output only.",
+    ),
 ]
 Outputs = Annotated[
     list[str] | None, typer.Option(metavar="NAMES", help="Names of the outputs; all others unless given.")

@@ -208,9 +208,10 @@ class FileSource:
             )
         used = {name for record in records for name in (*record.input_names, *record.output_names)}
         remarks: dict[str, None] = dict.fromkeys(unseen)  # in order, once each: several files of one test say the same
-        for description in descriptions:
-            channels = tuple(channel for channel in description.channels if channel.channel in used)
-            remarks |= dict.fromkeys(replace(description, channels=channels).remarks)
+        every = (channel for description in descriptions for channel in description.channels if channel.channel in used)
+        channels = tuple({(one.channel, str(one)): one for one in every}.values())
+        for number, description in enumerate(descriptions):  # channels treated alike share one sentence
+            remarks |= dict.fromkeys(replace(description, channels=() if number else channels).remarks)
         return records, tuple(remarks)
 
     def provenance(self, job: Job) -> Provenance:

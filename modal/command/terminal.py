@@ -33,13 +33,12 @@ from modal.identification.words import (
     frequency_text,
     mass_text,
     shown_frequency,
-    trust_of,
 )
 from modal.modes.mode import Mode, numbered
 from modal.quality import DataQuality
 from modal.recording.live import live_recording
 from modal.report.writing import ReportFiles
-from modal.sections.words import data_sentences, modes_headline, next_sentences, remark_of
+from modal.sections.words import data_sentences, judgement_of, modes_headline, next_sentences, remark_of
 from modal.wording.text import MOST_NAMED, clipped, hertz, ranges, shorten
 from okid.errors import visible
 
@@ -129,7 +128,7 @@ def show_result(
     quality: DataQuality | None = None,
 ) -> None:
     """Headline, how sure, what to do, mode table and doubts, limits of acceptance, warnings as far as there is room."""
-    judgement = trust_of(result)
+    judgement = judgement_of(result, quality)
     in_table = (damping_sentence(result), doubtful_sentence(result))
     reasons = " ".join(reason for reason in judgement.reasons if reason not in in_table)
     head = [

@@ -108,7 +108,7 @@ def by_form(catalogue: Mapping[str, Effect]) -> tuple[dict[str, Effect], dict[st
     return {key: one for key, one in catalogue.items() if key not in free}, free
 
 
-_NAMES_KEPT = {"coulomb": "Coulomb", "bouc": "Bouc", "wen": "Wen"}
+_NAMES_KEPT = {"coulomb": "Coulomb", "bouc": "Bouc", "wen": "Wen", "stribeck": "Stribeck"}
 """Words of catalogue keys that are people's names."""
 
 

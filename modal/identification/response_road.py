@@ -574,7 +574,7 @@ def _warnings(found: _Found, modes: ModalModel, fit: Fit, tried: dict[ResponseWi
     if len(tried) > 1:
         words.append(
             f"The window of the blocks is not stated; {table.window} was the most likely of {counted(len(tried))} "
-            "tried, and damping depends on it: state it if you know it."
+            "tried, and damping depends on it: state it if you know it (window= of okid.read_response)."
         )
     if table.window != response.window and len(tried) == 1:
         words.append(

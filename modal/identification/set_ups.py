@@ -20,7 +20,7 @@ References:
     International Modal Analysis Conference, 2009 (PoSER, PreGER).
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -109,6 +109,9 @@ def identify_setups(
     setups = _setups(records)
     if records[0].n_inputs:
         _refuse_what_nobody_measured(records, setups)
+    told = {} if decimation is not None else {"frequency band": "the widest band that a set-up asks for"}
+    if input_delay is None:
+        told["input delay"] = "the earliest that a set-up asks for; before, the inputs of each were moved by its own"
     if decimation is None:
         centred = [_own_channels(records, one) for one in setups]
         decimation = min(coherent_band([record.detrended() for record in own]).factor for own in centred)
@@ -117,7 +120,7 @@ def identify_setups(
     results = [again(_own_channels(records, one), delays) for one, delays in zip(setups, given, strict=True)]
     if not records[0].n_inputs:
         found = _ambient(records, setups, results)
-        return replace(found, warnings=(*dead, *found.warnings))
+        return replace(found, choices=_told(found.choices, told), warnings=(*dead, *found.warnings))
     aligned, of_each, said, warnings = _aligned(records, setups, results)
     joint = again(aligned, _early(setups, results, records[0].n_inputs))
     reason = "one model of all, fitted to each output where it was measured and to each record by its own noise"
@@ -125,16 +128,18 @@ def identify_setups(
         joint = _at_means(joint, setups, of_each)
         reason += "; poles and shapes are means of what set-ups tell, which have models of their own noise"
     measured = _measured(records, setups)
+    reason += "; what a set-up did not measure was filled by a model, for residuals and pictures alone"
     choice = Choice(what="set-ups", value=f"{len(setups)}: {measured}", reason=reason)
-    warning = (
-        f"Not every set-up measured every output: {measured}. Modes, deviations and verdict rest on what was measured; "
-        "what is missing was filled by a model for residuals and pictures alone."
-    )
     return replace(
         joint,
-        choices=(joint.choices[0], choice, *said, *joint.choices[1:]),
-        warnings=(warning, *dead, *warnings, *joint.warnings),
+        choices=(joint.choices[0], choice, *said, *_told(joint.choices[1:], told)),
+        warnings=(*dead, *warnings, *joint.warnings),
     )
+
+
+def _told(choices: Sequence[Choice], reasons: Mapping[str, str]) -> tuple[Choice, ...]:
+    """The choices, with the reasons of those that all set-ups made together: one identification was given them."""
+    return tuple(replace(one, reason=reasons.get(one.what, one.reason)) for one in choices)
 
 
 def _early(setups: Sequence[_SetUp], results: Sequence[Identification], n_inputs: int) -> list[int]:
@@ -400,11 +405,7 @@ def _ambient(records: Sequence[Record], setups: Sequence[_SetUp], results: Seque
         output_units=records[0].output_units,
     )
     measured = _measured(records, setups)
-    words = (
-        f"Not every set-up measured every output: {measured}. Poles and shapes are averages over the set-ups; what is "
-        "missing was made of each set-up's own modal states, so it tells nothing new."
-    )
-    warnings = [words]
+    warnings = []
     if alone:
         warnings.append(f"Modes that not every set-up found were left out: {'; '.join(alone)}.")
     everywhere = [text for text in first.warnings if all(text in result.warnings for result in results)]
@@ -414,7 +415,8 @@ def _ambient(records: Sequence[Record], setups: Sequence[_SetUp], results: Seque
     choice = Choice(
         what="set-ups",
         value=f"{len(setups)}: {measured}",
-        reason="each was identified by its outputs alone; the references scale what the others saw",
+        reason="each was identified by its outputs alone, poles and shapes are averages, and the references scale what "
+        "the others saw; what a set-up did not measure was made of its own modal states, so it tells nothing new",
     )
     model = output_model(modes)
     placed = [with_absent_outputs(result, modes, one.outputs) for one, result in zip(setups, results, strict=True)]

@@ -243,7 +243,7 @@ def frequencies_in_time(
         for panel in (above, below):
             panel.upright(float(along[np.searchsorted(every, time)]), "residual", width=STYLE.thick)
     above.x.labelled, above.x.limits = False, above.x.fitted(along)
-    above.y.label, below.y.label = "frequency [Hz]", "left without the causes [%]"
+    above.y.label, below.y.label = "frequency [Hz]", "frequency without the causes [%]"
     below.x.label, below.x.limits = label, above.x.limits
     figure.key = Key(panel=above) if 0 < len(tracks) <= len(IN_TURN) else None
     return figure

@@ -11,7 +11,7 @@ import numpy as np
 
 from modal.geometry.scene import comparable_shapes
 from modal.identification.result import Identification
-from modal.modes.mode import Mode
+from modal.modes.mode import ModalModel, Mode
 from modal.modes.response_synthesis import MeasuredFrf, frf, measured_frf, modal_frf, tabled_frf
 from modal.modes.shape_comparison import assurance as mac
 from modal.plots.histories import measured_against_simulated
@@ -251,6 +251,15 @@ def law(diagnosis: "Diagnosis", *, axes: "Axes | Sequence[Axes] | None" = None) 
     return figure_of(laws_found(diagnosis, ResultLimits.MOST_SHOWN), axes=axes)
 
 
+def doubtful_within(modes: ModalModel, band: tuple[float, float]) -> list[Mode]:
+    """The doubtful vibration modes that a picture of this band [Hz] shows."""
+    return [
+        mode
+        for mode in modes
+        if mode.verdict == "doubtful" and mode.kind == "oscillatory" and band[0] <= mode.frequency <= band[1]
+    ]
+
+
 def overview(result: Identification) -> Chart:
     """Mean spectrum of the outputs (of a table, mean response), measured and of the model, with the modes found."""
     if result.response is None:
@@ -276,12 +285,11 @@ def overview(result: Identification) -> Chart:
         level = 10.0 * np.log10(np.maximum(power[seen] / peak, 1e-10))  # deeper lies the rounding of an empty spectrum
         lowest = min(lowest, float(np.nanmin(level, initial=0.0))) if role == "measured" else lowest
         panel.line(frequency[seen], level, role, width=width, label=role)
-    doubtful = [mode for mode in result.modes if mode.verdict == "doubtful" and mode.kind == "oscillatory"]
-    for number, mode in enumerate(doubtful):
+    band = (float(frequency[0]), float(frequency[-1]))
+    for number, mode in enumerate(doubtful_within(result.modes, band)):
         named = ("", "doubtful") if number else ("doubtful", "")
         ends = [mode.frequency, mode.frequency], [-np.inf, np.inf]
         panel.line(*ends, "doubtful", width=STYLE.thin, dash="dashed", label=named[0], follows=named[1])
-    band = (float(frequency[0]), float(frequency[-1]))
     mark_modes(panel, result.modes, 0.05 * (band[1] - band[0]))
     panel.x.limits, panel.y.limits = band, (lowest - 4.0, 4.0)
     panel.x.label, panel.y.label = "frequency [Hz]", "power [dB]"

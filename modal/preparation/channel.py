@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 
 from modal.wording.text import percent, shorten
-from okid.arrays import CHUNK_VALUES, BoolArray, FloatArray
+from okid.arrays import CHUNK_VALUES, BoolArray, FloatArray, with_numbers
 from okid.display import Displayed
 from okid.record import Record
 from okid.rows import runs_of, usable_rows
@@ -187,8 +187,8 @@ def channels_of(records: Sequence[Record], scaling: ChannelScaling) -> Iterator[
                     dt=first.dt,
                     mean=float(means[i]),
                     std=0.0 if i in constant else float(scales[i]),
-                    smallest=min(float(np.fmin.reduce(part)) for part in parts),
-                    largest=max(float(np.fmax.reduce(part)) for part in parts),
+                    smallest=float(np.fmin.reduce([np.fmin.reduce(part) for part in parts])),
+                    largest=float(np.fmax.reduce([np.fmax.reduce(part) for part in parts])),
                     n_missing=sum(int(np.isnan(part).sum()) for part in parts),
                 )
 
@@ -505,13 +505,19 @@ def length_findings(records: Sequence[Record], *, has_coherence: bool) -> list[F
             )
         )
     if first.n_inputs and not has_coherence:
+        whole = all(with_numbers(record.outputs).all() for record in records)
+        why = (
+            "the records are too short, or have too many gaps, for measured coherence"
+            if whole
+            else "no set-up measured every output, so coherence with all of them does not exist"
+        )
         found.append(
             Finding(
                 level="note",
                 what="no coherence",
                 where="all records",
-                sentence="the records are too short, or have too many gaps, for measured coherence: how much of the "
-                "outputs the inputs explain was not looked at.",
+                sentence=f"{why}: how much of the outputs the inputs explain was not looked at"
+                f"{'' if whole else '; check each set-up by itself for it'}.",
             )
         )
     return found

@@ -517,7 +517,7 @@ def _found(samples: tuple[int, ...], record: Record) -> InputDelay:
 
 def _in_words(samples: Sequence[int], record: Record) -> str:
     late = [
-        f"{name}: {abs(d)} samples{' early' if d < 0 else ''} ({abs(d) * record.dt:.4g} s)"
+        f"{name}: {abs(d)} sample{'s' * (abs(d) > 1)}{' early' if d < 0 else ''} ({abs(d) * record.dt:.4g} s)"
         for name, d in zip(record.input_names, samples, strict=True)
         if d
     ]

@@ -202,9 +202,7 @@ def prepare(
             *filling.choices,
             *centring,
             band,
-            integrating.choice,
-            delay.choice,
-            drifting.choice,
+            *(_of_a_release(one, kind) for one in (integrating.choice, delay.choice, drifting.choice)),
         ),
         warnings=(
             *mend.warnings,
@@ -257,6 +255,13 @@ def _parts(records: Sequence[Record]) -> tuple[tuple[Record, ...], tuple[Choice,
         reason="samples of an input are missing; no model can run over them, so a record ends at each gap",
     )
     return parts, (gaps,)
+
+
+def _of_a_release(choice: Choice, kind: RecordKind) -> Choice:
+    """The choice, and why, where it is no caller's but that of a ring-down, which has no input that could be late."""
+    if kind != "decay" or choice.reason != "given as an argument":
+        return choice
+    return replace(choice, reason="a release is neither late nor summed, and the end of the record is its level")
 
 
 def _to_band(

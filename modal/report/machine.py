@@ -24,10 +24,11 @@ from era.realisation import Realisation
 from modal.acceptance.check import check_limits
 from modal.acceptance.test_file import Specification
 from modal.identification.result import Identification, OrderEvidence
-from modal.identification.words import trust_of
 from modal.modes.mode import Choice, Fit, Mode, numbered
 from modal.preparation.kind import RecordKind
+from modal.quality import DataQuality
 from modal.sections.provenance import Provenance, SourceFile, installed_version
+from modal.sections.words import judgement_of
 from modal.wording.text import csv_cell
 from okid.excitation import Excitation
 from okid.markov import MarkovParameters
@@ -254,9 +255,15 @@ _MODE_NUMBERS = tuple(
 )
 
 
-def json_text(result: Identification, provenance: Provenance, *, specification: Specification | None = None) -> str:
+def json_text(
+    result: Identification,
+    provenance: Provenance,
+    *,
+    specification: Specification | None = None,
+    quality: DataQuality | None = None,
+) -> str:
     """The result without time histories and `LARGE` arrays; nan is null, a complex number is [real, imaginary]."""
-    judgement = trust_of(result)
+    judgement = judgement_of(result, quality)
     document = {
         "schema": SCHEMA,
         "version": installed_version(),

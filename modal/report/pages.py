@@ -23,10 +23,10 @@ from modal.identification.words import (
     frequency_text,
     mass_sentence,
     mass_text,
-    trust_of,
 )
 from modal.modes.mode import Mode, numbered
 from modal.plots.results import shape_assurance
+from modal.quality import DataQuality
 from modal.report.pictures import NOTHING_BESIDES, Picture, PictureLimits, Setting
 from modal.sections import words
 from modal.sections.provenance import Provenance, installed_version
@@ -254,7 +254,7 @@ def markdown_text(
 
 def _context(result: Identification, provenance: Provenance, setting: Setting, beside: str) -> dict[str, object]:
     return {
-        **_verdict_values(result),
+        **_verdict_values(result, setting.quality),
         **_limit_values(setting),
         **_data_values(result, setting),
         "next_sentences": words.next_sentences(result, setting.quality),
@@ -274,12 +274,12 @@ def _context(result: Identification, provenance: Provenance, setting: Setting, b
     }
 
 
-def _verdict_values(result: Identification) -> dict[str, object]:
+def _verdict_values(result: Identification, quality: DataQuality | None) -> dict[str, object]:
     record = result.records[0] if result.records else None
     return {
         "title": _title(result),
         "headline": words.modes_headline(result),
-        "judgement": trust_of(result),
+        "judgement": words.judgement_of(result, quality),
         "fit_word": words.fit_word(result.fit.mean),
         "result": result,
         "record": record,
@@ -319,6 +319,7 @@ def _data_values(result: Identification, setting: Setting) -> dict[str, object]:
         "findings": findings[: PageLimits.MOST_FINDINGS],
         "n_more_findings": max(0, len(findings) - PageLimits.MOST_FINDINGS),
         "data_sentences": words.data_sentences(result),
+        "inputs_measured": result.channels.n_inputs > 0 and result.record_kind != "decay",
     }
 
 

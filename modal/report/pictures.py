@@ -19,6 +19,7 @@ from modal.plots.layout import Chart
 from modal.plots.order import colour_measure, pole_classes
 from modal.plots.results import (
     ResultLimits,
+    doubtful_within,
     fit_chart,
     least_fitted,
     measured_responses,
@@ -151,10 +152,12 @@ def _overview_picture(result: Identification) -> dict[str, Picture]:
     what = "Mean power spectrum of the outputs" if result.response is None else "Mean of the squared responses"
     found = ", ".join(f"{hertz(frequency)}" for frequency in result.modes.frequencies[: PictureLimits.MOST_ASSURED])
     marked = f" Green: the modes found, at {found} Hz." if found else " No mode of the system was found."
-    doubtful = any(mode.verdict == "doubtful" and mode.kind == "oscillatory" for mode in result.modes)
-    open_ = " Dashed: poles that the data do not settle." if doubtful else ""
+    chart = overview(result)
+    band = None if chart.key is None else chart.key.panel.x.limits
+    shown = band is not None and doubtful_within(result.modes, band)
+    open_ = " Dashed: poles that the data do not settle." if shown else ""
     caption = f"{what}, measured and of the model.{marked}{open_}"
-    return {"overview": readable(overview(result), "overview", caption)}
+    return {"overview": readable(chart, "overview", caption)}
 
 
 def _geometry_picture(result: Identification, setting: Setting) -> dict[str, Picture]:

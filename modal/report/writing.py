@@ -184,7 +184,7 @@ def _write_all(result: Identification, files: ReportFiles, provenance: Provenanc
     pages = {
         files.html: html_text(result, provenance, draw_pictures(result, setting), setting, beside=beside),
         files.markdown: markdown_text(result, provenance, setting, beside=beside),
-        files.json: json_text(result, provenance, specification=setting.specification),
+        files.json: json_text(result, provenance, specification=setting.specification, quality=setting.quality),
         files.schema: schema_text(),
         files.csv: csv_text(result),
         files.uff55: uff55_text(result, setting.geometry),

@@ -6,10 +6,12 @@ all take their words from here, so that they cannot disagree.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from modal.identification.result import Identification
+from modal.identification.words import Judgement, trust_of
+from modal.modes.extraction import NYQUIST_MARGIN
 from modal.modes.mode import Mode
 from modal.verdict.judgement import DOUBTED, FOUND_AGAIN, LEAST_PART, SYSTEM_FROM
 from modal.verdict.probability import SPREAD
@@ -30,6 +32,7 @@ from okid.errors import visible
 
 if TYPE_CHECKING:
     from modal.acceptance.check import LimitOutcome
+    from modal.preparation.channel import Finding
     from modal.quality import DataQuality
 
 
@@ -64,10 +67,7 @@ def next_sentences(result: Identification, quality: "DataQuality | None" = None)
 
     Data that are bad are mended before anything is measured again or quoted; without a mode there is nothing to quote.
     """
-    used = {*result.channels.input_names, *result.channels.output_names}  # a dead output is left out: it spoils nothing
-    found = () if quality is None else quality.findings
-    bad = [one for one in found if one.level == "bad" and (not one.channels or used & set(one.channels))]
-    if bad:
+    if bad := _bad(result, quality):
         what = f"{bad[0].what}, {visible(bad[0].where)}"
         return (f"Mend or replace the data ({what}) and identify again; until then all modes are provisional.",)
     if not result.modes.system:
@@ -78,13 +78,34 @@ def next_sentences(result: Identification, quality: "DataQuality | None" = None)
     if result.warnings:
         what = "the warning" if len(result.warnings) == 1 else f"the {counted(len(result.warnings))} warnings"
         said.append(f"Read {what} before you quote a number.")
-    if any(mode.verdict == "doubtful" and mode.kind == "oscillatory" for mode in result.modes):
-        more = "A second record of this test, identified together with it," if result.records else "More averages"
-        said.append(f"{more} may settle the doubtful poles.")
     said += _for_the_damping(result)
     if not said:
         said.append("You can quote these modes, with their 95 % intervals (±).")
+    if any(_more_may_settle(mode, result) for mode in result.modes):
+        more = "A second record of this test, identified together with it," if result.records else "More averages"
+        said.append(f"{more} may settle the doubtful poles.")
     return (*said, *_for_the_forces(result))
+
+
+def _bad(result: Identification, quality: "DataQuality | None") -> "list[Finding]":
+    """The faults that spoil what the modes were identified from; a dead output is left out and spoils nothing."""
+    used = {*result.channels.input_names, *result.channels.output_names}
+    found = () if quality is None else quality.findings
+    return [one for one in found if one.level == "bad" and (not one.channels or used & set(one.channels))]
+
+
+def judgement_of(result: Identification, quality: "DataQuality | None") -> Judgement:
+    """What `trust_of` says, and no more than care where the data are to be mended before anything is quoted."""
+    judgement = trust_of(result)
+    if judgement.trust != "carried" or not _bad(result, quality):
+        return judgement
+    return replace(judgement, trust="with care", label="Use with care")
+
+
+def _more_may_settle(mode: Mode, result: Identification) -> bool:
+    """Whether a doubtful pole may be a vibration mode: below the Nyquist frequency, and near none of its images."""
+    nyquist = 0.5 / result.modes.dt
+    return mode.verdict == "doubtful" and mode.kind == "oscillatory" and mode.frequency < (1 - NYQUIST_MARGIN) * nyquist
 
 
 def _for_the_damping(result: Identification) -> tuple[str, ...]:

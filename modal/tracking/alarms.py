@@ -130,7 +130,7 @@ def _terms(
             continue
         slow = _followed_slowly(cause, times, felt.constant) if felt.part else cause
         columns.append(_polynomials((1.0 - felt.part) * cause + felt.part * slow, felt.degree))
-        how = [f"degree {felt.degree}"] * (felt.degree > 1)
+        how = [f"polynomial of degree {felt.degree}"] * (felt.degree > 1)
         how += [f"{100 * felt.part:.0f} % felt within {felt.constant / 3600.0:.0f} h"] * (felt.part > 0)
         names.append(f"{name} ({', '.join(how)})" if how else name)
     return np.hstack(columns), tuple(names)

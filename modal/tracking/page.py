@@ -65,11 +65,12 @@ def _explained(share: float) -> str:
 
 
 def _caption(tracks: Tracks) -> str:
-    causes = ", ".join(tracks.causes) or "none was given, or none helps"
+    causes = ", ".join(tracks.causes)
+    less = f" less what the causes explain, {causes}" if causes else " (no cause was given, or none helps)"
     marked = " Upright lines: since when something changed; level ones: how far." if tracks.alarms else ""
     return (
-        "Above, a dot for each mode in each record; below, how far each frequency is off its level before the first "
-        f"change once the causes ({causes}) are taken off, as means of neighbouring records.{marked}"
+        f"Above, a dot for each mode in each record; below, each frequency{less}, against its level before the first "
+        f"change, as means of neighbouring records.{marked}"
     )
 
 
@@ -153,7 +154,8 @@ def _moments(one: Track, tracks: Tracks) -> Iterator[tuple[float, str]]:
 def alarm_text(number: int, tracks: Tracks) -> str:
     """What an alarm says, with its times."""
     one = tracks.alarms[number]
-    return f"since {moment_text(one.since, tracks)}, seen {moment_text(one.time, tracks)}: {one.reason}"
+    when = "on" if tracks.clock else "in"
+    return f"since {moment_text(one.since, tracks)}, seen {when} {moment_text(one.time, tracks)}: {one.reason}"
 
 
 def _recorded(tracks: Tracks) -> FollowedModes:

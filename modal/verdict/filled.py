@@ -37,7 +37,8 @@ WHY = "most of what shows it was filled, and in the samples that were measured i
 
 def filled_words(prepared: Preparation, *, of_measured: bool, is_driven: bool) -> tuple[str, ...]:
     """That outputs were filled, where they were, and what that does to modes and deviations."""
-    share, dt = prepared.measured_share, prepared.records[0].dt
+    dt = prepared.records[0].dt
+    share = _measured_where_present(prepared)
     if share == 1.0:
         return ()
     said = f"{100 * (1.0 - share):.3g} % of the output samples were missing and have been filled by a model of the rest"
@@ -57,6 +58,15 @@ def filled_words(prepared: Preparation, *, of_measured: bool, is_driven: bool) -
         "taken where nothing tells which it is, as in every record sampled at that rate."
     )
     return said, images
+
+
+def _measured_where_present(prepared: Preparation) -> float:
+    """Share of the samples that were measured, of the outputs that a record has: set-ups lack the others by design."""
+    here = [own.any(axis=0) for own in prepared.measured]
+    if all(map(np.all, here)):
+        return prepared.measured_share
+    rows = zip(prepared.measured, prepared.n_rest, here, strict=True)
+    return float(np.mean(np.concatenate([own[n:, has].ravel() for own, n, has in rows])))
 
 
 def told_where_measured(

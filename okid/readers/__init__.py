@@ -41,7 +41,8 @@ def read_record(
     Args:
         path: the file; its type is told by its extension: .csv .txt .tsv .dat .asc (text tables), .npy, .npz, .mat,
             .uff .unv .ufb (universal files, data set 58), .parquet .pq, .tdms.
-        inputs: names of the channels that drive the system.
+        inputs: names of the channels that drive the system; the name of a matrix means all its columns, "force*" all
+            channels that begin so.
         outputs: names of the channels that answer. Inputs alone: every other channel is an output. Outputs alone: no
             inputs. Neither: what the file itself states, else every channel is an output.
         dt: time step [s]. Needed where the file has no time axis; where it has one (a column called time or t), the

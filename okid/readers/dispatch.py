@@ -29,6 +29,7 @@ from okid.readers.table import (
     choose_channels,
     chosen_names,
     conversion_of,
+    spread_names,
     stated_step,
     to_record,
 )
@@ -217,6 +218,7 @@ def records_of_tables(
     Raises:
         InvalidDataError: different time grids, or different units of one channel.
     """
+    inputs, outputs = spread_names(tables, inputs), spread_names(tables, outputs)
     held = [_held(table, inputs, outputs) for table in tables]
     for table, names in zip(tables, held, strict=True):
         if not names:  # none of the chosen channels: say which ones are missing, and what the file has
@@ -284,11 +286,16 @@ def _joined(tables: Sequence[Table], held: Sequence[frozenset[str]]) -> Table:
         dt=step,
         dt_within=within,
         start_time=start_time,
-        inputs=tuple(name for table in tables for name in table.inputs or ()) if len(stated) == len(tables) else None,
-        outputs=tuple(name for table in stated for name in table.outputs or ()) if len(stated) == len(tables) else None,
+        inputs=tuple(name for table in tables for name in table.inputs or ()) if stated else None,
+        outputs=tuple(name for table in tables for name in _stated_outputs(table)) if stated else None,
         left_out=tuple(left for table in tables for left in table.left_out),
         doubts=tuple(doubt for table in tables for doubt in table.doubts),
     )
+
+
+def _stated_outputs(table: Table) -> tuple[str, ...]:
+    """What a file states as outputs; of one that states nothing, every channel."""
+    return tuple(table.names[index] for index in table.channels()) if table.outputs is None else table.outputs
 
 
 def _grid(table: Table, step: float | None, start_time: float) -> str:

@@ -368,9 +368,33 @@ def as_names(names: Names) -> list[str] | None:
     return listed
 
 
+def spread_names(tables: Sequence[Table], names: Names) -> list[str] | None:
+    """The channels that names stand for, in the order in which the tables have them; None stays None.
+
+    A name stands for the channel that is called so, else for the columns of a matrix that is ("u" for u_0 and u_1),
+    else, with `*` for any letters and `?` for one, for every channel that fits ("force p*"). What stands for none is
+    kept: the message that it is missing names it.
+    """
+    listed = as_names(names)
+    if listed is None:
+        return None
+    spread: list[str] = []
+    for name in listed:
+        if any(name in table.names for table in tables):
+            spread.append(name)
+            continue
+        columns = [table.columns[index] for table in tables for index in table.channels()]
+        found = [column.name for column in columns if column.header == name]
+        if not found and set(name) & set("*?"):
+            pattern = re.compile(re.escape(name).replace(r"\*", ".*").replace(r"\?", "."), re.DOTALL)
+            found = [column.name for column in columns if pattern.fullmatch(column.name)]
+        spread += dict.fromkeys(found or [name])
+    return spread
+
+
 def chosen_names(table: Table, inputs: Names, outputs: Names) -> tuple[list[str], list[str]]:
     """Names of the inputs and outputs, as `choose_channels` decides, not yet looked up."""
-    into, out = as_names(inputs), as_names(outputs)
+    into, out = spread_names([table], inputs), spread_names([table], outputs)
     if into is None and out is None and table.outputs is not None:
         return list(table.inputs or ()), list(table.outputs)
     into = into or []

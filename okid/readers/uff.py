@@ -9,6 +9,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
 from typing import Any, Final
 
@@ -60,6 +61,8 @@ Set = Mapping[str, Any]
 def read_uff(path: Path) -> Table:
     """The time histories of a universal file as channels, named by node and direction ("12X+").
 
+    Those that the file states as excitation force are the inputs ("force 12X+"); a force of reaction is an output.
+
     Raises:
         UnreadableFileError: cut off, no time history in it, or time histories of different length or time step.
     """
@@ -72,7 +75,8 @@ def read_uff(path: Path) -> Table:
         raise UnreadableFileError(_what_it_holds(path, kinds, list(heads.values())))
     sets = [file.read(number) for number in chosen]
     ordinates = [np.asarray(each["data"], dtype=np.float64) for each in sets]
-    names = _names(sets)
+    drives = [int(each["ordinate_spec_data_type"]) == DATA_TYPES["N"] for each in sets]
+    names = _names(sets, drives)
     _check_same_axis(sets, names, path)
     is_si = any(states_si(each) for _, each in file.sets(Universal.UNITS))
     columns = [
@@ -98,6 +102,8 @@ def read_uff(path: Path) -> Table:
         values=np.column_stack(ordinates),
         dt=step,
         start_time=start_time,
+        inputs=tuple(compress(names, drives)) if any(drives) else None,
+        outputs=tuple(compress(names, np.logical_not(drives))) if any(drives) else None,
         left_out=tuple(left_out),
     )
 
@@ -248,10 +254,14 @@ def _check_same_axis(sets: Sequence[Set], names: Sequence[str], path: Path) -> N
             )
 
 
-def _names(sets: Sequence[Set]) -> list[str]:
-    """The first way that tells all sets apart: node and direction, these and the quantity, entity, first line."""
+def _names(sets: Sequence[Set], drives: Sequence[bool]) -> list[str]:
+    """The first way that tells all sets apart: node and direction, these and the quantity, entity, first line.
+
+    A force is called one ("force 12X+"), so a sensor beside it has the same name in every file of a roving hammer.
+    """
+    places = [place_of(each, "rsp") for each in sets]
     ways: list[list[str]] = [
-        [place_of(each, "rsp") for each in sets],
+        [f"force {at}" if at and drive else at for at, drive in zip(places, drives, strict=True)],
         [(at := place_of(each, "rsp")) and f"{at} {label_of(each, 'ordinate_axis_lab')}".strip() for each in sets],
         [text_of(each["rsp_ent_name"]) for each in sets],
         [text_of(each["id1"]) for each in sets],

@@ -123,13 +123,13 @@ def hammer(rng, plate, folder):
 
 
 def roving(rng, plate, folder):
-    files, forces = [], [f"force {name}" for name in named(EVERY)]
+    files = []
     for point in EVERY:
         force = blows(rng, 2000, 1)
         values = np.hstack(recorded(rng, force, plate.motion(force, [point], FIXED)))
-        columns = [f"{forces[point]} [N]", *(UNITS[sensor] for sensor in FIXED)]
+        columns = [f"force {named([point])[0]} [N]", *(UNITS[sensor] for sensor in FIXED)]
         files.append(written(folder / f"struck_{point + 1:02d}.csv", columns, values))
-    return files, ["--inputs", ",".join(forces)]
+    return files, ["--inputs", "force p*"]
 
 
 def setups(rng, plate, folder):
@@ -196,24 +196,27 @@ def main():
         kind = files_of.__name__
         if arguments.kinds and kind not in arguments.kinds:
             continue
-        folder = arguments.folder / f"{arguments.seed}_{kind}"
-        folder.mkdir(parents=True, exist_ok=True)
-        plate = Plate(np.random.default_rng([arguments.seed, 8]), n_above=arguments.above)
-        files, options = files_of(np.random.default_rng([arguments.seed, k]), plate, folder)
         began = time.perf_counter()
-        command = [str(Path(sys.executable).parent / "modal-report"), "run", *map(str, files), *options]
-        done = subprocess.run(
-            [*command, "-o", str(folder / "result"), "--overwrite"],
-            capture_output=True, text=True, check=False, env=dict(os.environ, COLUMNS="80"),
-        )  # fmt: skip
+        folder = arguments.folder / f"{arguments.seed}_{kind}"
+        plate, done = commanded(k, arguments.seed, folder, n_above=arguments.above)
         (folder / "terminal.txt").write_text(done.stdout + done.stderr)
         print(f"{kind:9s} {told(plate, folder / 'result', done)} ({time.perf_counter() - began:.0f} s)", flush=True)
 
 
-def told(plate, folder, done):
-    """Modes found within three deviations and false ones, of what `modes.csv` says; lines of the terminal."""
-    if not (folder / "modes.csv").is_file():
-        return f"refused: {done.stderr.strip().splitlines()[-1]}"
+def commanded(k, seed, folder, *, n_above=0):
+    """The plate of a seed, and what the command says to its files of the k-th kind; the report is `folder / result`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    plate = Plate(np.random.default_rng([seed, 8]), n_above=n_above)
+    files, options = KINDS[k](np.random.default_rng([seed, k]), plate, folder)
+    command = [str(Path(sys.executable).parent / "modal-report"), "run", *map(str, files), *options]
+    return plate, subprocess.run(
+        [*command, "-o", str(folder / "result"), "--overwrite"],
+        capture_output=True, text=True, check=False, env=dict(os.environ, COLUMNS="80"),
+    )  # fmt: skip
+
+
+def errors_of(plate, folder):
+    """(n_found, 2) errors of frequency and damping in deviations, as `modes.csv` states them, and the false modes."""
     with (folder / "modes.csv").open() as file:
         rows = [row for row in csv.DictReader(file) if row["verdict"] == "system"]
     errors, false, left = [], [], list(plate.frequencies[:6])
@@ -229,7 +232,14 @@ def told(plate, folder, done):
         damping, own = float(row["damping_ratio"]), (row["frequency_std"], row["damping_ratio_std"])
         stds = [float(text) if text else np.nan for text in own]
         errors.append([(frequency - true) / stds[0], (damping - plate.damping[k]) / stds[1]])
-    errors = np.array(errors).reshape(-1, 2)
+    return np.array(errors).reshape(-1, 2), false
+
+
+def told(plate, folder, done):
+    """Modes found within three deviations and false ones; lines of the terminal."""
+    if not (folder / "modes.csv").is_file():
+        return f"refused: {done.stderr.strip().splitlines()[-1]}"
+    errors, false = errors_of(plate, folder)
     shown = " ".join(f"{f:+.1f}/{d:+.1f}" for f, d in errors)
     lines = done.stdout.rstrip("\n").splitlines()
     inside, widest = np.sum(np.all(np.abs(errors) <= 3, axis=1)), max(map(len, lines), default=0)

@@ -53,6 +53,19 @@ def test_a_file_is_checked_and_its_numbers_written(source, tmp_path, capsys):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["check.json", "shaker.csv"]
 
 
+def test_set_ups_convert_a_unit_in_one_sentence(tmp_path):
+    """Each set-up repeated it, with its own channels, and so the terminal was filled."""
+    files = []
+    for number, moved in enumerate(("b", "c")):
+        files.append(tmp_path / f"setup_{number}.csv")
+        values = np.column_stack([0.01 * np.arange(50), np.random.default_rng(number).standard_normal((50, 3))])
+        np.savetxt(
+            files[-1], values, delimiter=",", header=f"time,force [N],a [g],{moved} [g]", comments="", fmt="%.9g"
+        )
+    _, remarks = FileSource(files=files, inputs=["force"], outputs=None, dt=None, hold="band_limited").read()
+    assert remarks == ("a, b, c: g -> m/s^2, times 9.80665 (g read as standard gravity)",)
+
+
 def test_a_measured_file_is_never_replaced_by_its_numbers(source):
     (path,) = source.files
     before = path.read_bytes()

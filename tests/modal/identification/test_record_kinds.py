@@ -72,6 +72,7 @@ def test_no_longer_record_is_asked_for_where_rows_would_be_rest():
     result = identified(random_records("decay", 207, n_records=1))
     assert result.observer.order == 256
     assert not any("longer" in words for words in result.warnings)
+    assert not any("given" in choice.reason for choice in result.choices if choice.what != "record kind")
 
 
 def test_a_decay_is_never_worse_than_era_on_the_same_samples():

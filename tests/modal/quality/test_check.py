@@ -171,6 +171,10 @@ def test_what_another_set_up_measured_is_not_missing():
     """Nine channels of three clean set-ups were called bad, and the remedy was to leave them out."""
     setups = join_setups([unknown_forces(1, (0, 1, 2)), unknown_forces(2, (0, 3))])
     assert serious(check_quality(setups)) == []
+    for quality in (check_quality(setups), check_quality(setups[::-1])):  # whatever the first set-up lacks
+        statistics = {channel.name: channel.statistics for channel in quality.channels}
+        assert all(np.isfinite([one.smallest, one.largest]).all() for one in statistics.values())
+        assert not any("too short" in one.sentence for one in quality.findings)
     outputs = setups[1].outputs.copy()
     outputs[500:2500, 3] = np.nan
     found = check_quality([setups[0], replace(setups[1], outputs=outputs)]).findings

@@ -185,6 +185,15 @@ def test_the_words_follow_what_is_drawn(believed):
     assert "Dashed" not in response_pictures(none)["responses"].caption
 
 
+def test_a_doubtful_pole_beyond_the_picture_is_not_spoken_of(believed):
+    first, *rest = believed.modes.modes
+    for frequency, drawn in ((first.frequency, True), (0.6 / believed.modes.dt, False)):
+        doubtful = replace(first, verdict="doubtful", kind="oscillatory", frequency=frequency)
+        modes = (doubtful, *(mode for mode in rest if mode.verdict != "doubtful"))
+        picture = draw_pictures(replace(believed, modes=replace(believed.modes, modes=modes)))["overview"]
+        assert ("Dashed" in picture.caption) == drawn
+
+
 def test_only_the_strongest_pairs_of_many_are_drawn(believed, monkeypatch):
     monkeypatch.setattr("modal.plots.results.ResultLimits.MOST_SHOWN", 2)
     assert "The 2 strongest of 3 are shown." in response_pictures(believed)["responses"].caption

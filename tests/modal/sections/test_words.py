@@ -20,7 +20,7 @@ from modal.identification.words import (
 )
 from modal.sections.provenance import fingerprints
 from modal.sections.validation import about_lines, channel_rows, sensor_columns
-from modal.sections.words import INDICATORS, data_sentences, fit_word, modes_headline, next_sentences
+from modal.sections.words import INDICATORS, data_sentences, fit_word, judgement_of, modes_headline, next_sentences
 from modal.verdict import judgement as verdict
 from modal.wording.text import fit_text, hertz, ratio_text, with_interval
 from okid.errors import InvalidDataError
@@ -195,6 +195,32 @@ def test_intervals_are_shown_when_known(identification):
     assert frequency_text(mode) == "3.670 ± 0.020"
     assert damping_text(mode) == "1.200 ± 0.098 %"
     assert ratio_text(np.nan) == "–"
+
+
+def test_certain_modes_are_quoted_beside_doubtful_poles(identification):
+    """And no second record is asked for where the doubtful pole lies where no record shows a mode."""
+    first, second, third = identification.modes.system
+
+    def said(doubtful):
+        modes = replace(identification.modes, modes=(first, second, replace(doubtful, verdict="doubtful")))
+        return " ".join(next_sentences(replace(identification, modes=modes, warnings=())))
+
+    nyquist = 0.5 / identification.modes.dt
+    assert said(third).startswith("You can quote these modes")
+    assert "may settle the doubtful poles" in said(third)
+    assert "doubtful" not in said(replace(third, frequency=1.03 * nyquist))
+    assert "doubtful" not in said(replace(third, kind="real"))
+
+
+def test_data_to_mend_leave_nothing_called_reliable(identification):
+    """The word beside the headline contradicted what was to be done next."""
+    sound = with_fit(replace(identification, warnings=()), 0.99)
+    lost = SimpleNamespace(level="bad", what="missing samples", where="force", channels=())
+    dead = SimpleNamespace(level="bad", what="constant", where="a dead one", channels=("a dead one",))
+    assert judgement_of(sound, None).label == judgement_of(sound, SimpleNamespace(findings=(dead,))).label == "Reliable"
+    assert judgement_of(sound, SimpleNamespace(findings=(lost,))).label == "Use with care"
+    none = with_system(sound, 0)
+    assert judgement_of(none, SimpleNamespace(findings=(lost,))).label == trust_of(none).label == "Not reliable"
 
 
 def test_what_comes_next_is_one_thing_that_waits_for_no_other(identification):

@@ -143,3 +143,20 @@ def test_a_date_in_one_of_joined_files_is_said(tmp_path, dates, said):
     first, second = (f"{name}.csv" for name in said.split(" and "))
     with pytest.raises(InvalidDataError, match=f"{first} gives the date of its samples and {second} gives none"):
         read_records(paths)
+
+
+def test_a_pattern_names_the_forces_of_a_roving_hammer(write):
+    paths = [write("a.csv", "force p1,y,z"), write("b.csv", "force p2,y,z", seed=1)]
+    records = read_records(paths, inputs="force p*")
+    assert [record.input_names for record in records] == [("force p1", "force p2")] * 2
+    assert [record.inputs.any(axis=0).tolist() for record in records] == [[True, False], [False, True]]
+    assert [record.output_names for record in records] == [("y", "z")] * 2
+    (record,) = read_records(paths[:1], inputs="force p1", outputs=["?"])
+    assert record.output_names == ("y", "z")
+
+
+def test_a_star_in_a_name_is_that_name_first(write):
+    path = write("a.csv", "u*,u1,y")
+    assert read_records(path, inputs="u*")[0].output_names == ("u1", "y")
+    with pytest.raises(InvalidDataError, match="no channel 'force\\*'"):
+        read_records(path, inputs="force*")

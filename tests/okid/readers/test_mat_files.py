@@ -93,6 +93,13 @@ def test_roles_names_and_units(write):
     np.testing.assert_allclose(record.outputs, TIPS * [1e-3, 1, 1], rtol=1e-14)
 
 
+def test_a_matrix_by_its_own_name_is_all_its_columns(write):
+    forces = np.column_stack([FORCE, FORCE[::-1]])
+    record = read_record(write(u=forces, y=TIPS, fs=50.0), inputs="u")
+    assert (record.input_names, record.output_names) == (("u_0", "u_1"), ("y_0", "y_1", "y_2"))
+    np.testing.assert_allclose(record.inputs, forces)
+
+
 def test_fields_of_structures(write):
     path = write(run={"time": 0.1 * np.arange(60), "u": FORCE, "deep": {"y": TIPS}}, note="a remark")
     record = read_record(path, inputs="u")

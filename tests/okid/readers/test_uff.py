@@ -7,7 +7,7 @@ import pytest
 import pyuff
 
 from okid.errors import IdentificationWarning, UnreadableFileError
-from okid.readers import describe_file, read_record
+from okid.readers import describe_file, read_record, read_records
 from okid.readers.response import read_response
 
 RNG = np.random.default_rng(10)
@@ -261,3 +261,31 @@ def test_no_measurement(tmp_path, content):
 def test_given_step_must_agree(tmp_path):
     with pytest.warns(IdentificationWarning, match=r"dt = 0\.02 s was given"):
         assert read_record(write(tmp_path / "a.uff"), dt=0.02).dt == 0.02
+
+
+def test_the_file_says_which_channel_is_the_force(tmp_path):
+    """A hammer at the sensors' own places: each force is an input, each sensor has one name in all files."""
+    files = []
+    for node in (11, 12):
+        path = write(tmp_path / f"at_{node}.uff", values=TIPS[:, :2])
+        force = pyuff.prepare_58(
+            binary=0, func_type=1, rsp_node=node, rsp_dir=1 if node == 11 else -3, ref_node=0, ref_dir=0,
+            data=TIPS[:, 2].copy(), x=0.01 * np.arange(N_SAMPLES), id1="hammer", rsp_ent_name="NONE",
+            ref_ent_name="NONE", abscissa_spacing=1, abscissa_spec_data_type=17, ordinate_spec_data_type=13,
+            orddenom_spec_data_type=0,
+        )  # fmt: skip
+        force.update({"ordinate_axis_units_lab": "N", "ordinate_axis_lab": "Force"})
+        pyuff.UFF(str(path)).write_sets([force], "add")
+        files.append(path)
+    records = read_records(files)
+    assert [record.input_names for record in records] == [("force 11X+", "force 12Z-")] * 2
+    assert [record.output_names for record in records] == [("11X+", "12Z-")] * 2
+    assert [record.inputs.any(axis=0).tolist() for record in records] == [[True, False], [False, True]]
+    assert read_record(files[0], outputs=["11X+", "force 11X+"]).output_names == ("11X+", "force 11X+")
+
+
+def test_a_file_of_the_force_and_a_file_of_the_answers_are_one_record(tmp_path):
+    answers = write(tmp_path / "answers.uff", values=TIPS[:, :2])
+    force = write(tmp_path / "force.uff", values=TIPS[:, 2:], ordinate_spec_data_type=13, ordinate_axis_units_lab="N")
+    (record,) = read_records([answers, force])
+    assert (record.input_names, record.output_names) == (("force 11X+",), ("11X+", "12Z-"))
