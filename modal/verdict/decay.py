@@ -16,6 +16,7 @@ References:
     Filtering, 1979, section 9.4 (spectral factorisation).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -23,7 +24,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from okid.arrays import TINY, BoolArray, FloatArray
+from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
 
 ALIKE = 0.9
 """Take the lowest of lines that are as strong as this: samples that are missing in turns make images above a line."""
@@ -39,6 +40,10 @@ DIRECTIONS = 4
 """Ask so many directions of the outputs what shakes them, and price them: two modes of any phases move in no more."""
 COLOUR = 8
 """Let what else is left be as coloured as so many rows before tell."""
+FEWEST_TOLD = 4 * COLOUR
+"""Tell no colour of fewer values."""
+LEAST_APART = 1e-12
+"""Take distances of poles below this for rounding."""
 PAST = 6
 """Ask for so many rows before one that tells of noise: as many as three modes have poles."""
 
@@ -76,6 +81,8 @@ class Decay:
         groups, told, strong = [], there.copy(), np.zeros(seen.shape[1], dtype=np.bool_)
         columns = np.column_stack([np.ones(len(times)), beside])
         for rows in np.unique(there.T, axis=0):
+            if not rows.any():
+                continue
             own = np.asarray((rows == there.T).all(axis=1))
             strong[np.flatnonzero(own)[:DIRECTIONS]] = True
             left, sizes, _ = np.linalg.svd(columns[rows], full_matrices=False)
@@ -141,7 +148,7 @@ class Decay:
                 rest, known = left[group.rows, output, np.newaxis], self.told[group.rows, output]
                 trials = ((np.nan, 0.0), *TRIED)
                 white = np.hstack([self._white(group, output, modes, np.array(trial), rest) for trial in trials])
-                power = np.maximum(np.square(white[known]).sum(axis=0), TINY)
+                power = np.nan_to_num(np.maximum(np.square(white[known]).sum(axis=0), TINY), nan=np.inf)
                 best, count = int(np.argmin(power)), int(known.sum())
                 if count * np.log(power[0] / power[best]) > N_SHAKEN * np.log(count):
                     noise[output] = trials[best]
@@ -150,27 +157,45 @@ class Decay:
     def _white(
         self, group: "_Alike", output: int, modes: FloatArray, noise: FloatArray, values: FloatArray
     ) -> FloatArray:
-        above, below = np.ones(1), np.ones(1)
+        sections = np.ones((0, 3)), np.ones((0, 3))
         if np.isfinite(noise[0]):
-            above, below = predictor(tuple(map(tuple, (modes * [group.step, 1.0]).tolist())), *noise.tolist())
-        return group.filtered(np.convolve(above, self.colour[output]), below, values)
+            sections = predictor(tuple(map(tuple, (modes * [group.step, 1.0]).tolist())), *noise.tolist())
+        return group.filtered(*sections, self.colour[output], values)
 
-    def coloured(self, left: FloatArray) -> "Decay":
-        """With the colour of what is left (n_last, n_outputs) one step ahead in its last rows."""
+    def colours(self, left: FloatArray) -> FloatArray:
+        """(n_outputs, COLOUR + 1) filters that make white what is left (n, n_outputs) one step ahead."""
         colour = np.zeros((left.shape[1], COLOUR + 1))
         colour[:, 0] = 1.0
-        for output in np.flatnonzero(self.strong):
-            colour[output] = colour_of(left[:, output], int(self.told[-len(left) :, output].sum()))
+        for group in self.outputs:
+            even = np.zeros(int(group.at[-1]) + 1)
+            for output in np.flatnonzero(group.own & self.strong) if group.step else ():
+                even[group.at] = left[group.rows, output]
+                colour[output] = colour_of(even, int(self.told[:, output].sum()))
+        return colour
+
+    def coloured(self, last: "Decay", left: FloatArray) -> "Decay":
+        """With the colour of what is left (n_last, n_outputs) one step ahead of last rows that have the same steps."""
+        colour = last.colours(left)
+        colour[self.steps != last.steps] = np.eye(COLOUR + 1)[0]
         return replace(self, colour=colour)
+
+    @property
+    def steps(self) -> FloatArray:
+        """(n_outputs,) samples from row to row, 0 where these do not stand side by side."""
+        steps = np.zeros(self.seen.shape[1])
+        for group in self.outputs:
+            steps[group.own] = group.step
+        return steps
 
     def size(self, left: FloatArray) -> FloatArray:
         """(n_outputs,) root mean square of what is told."""
         power = np.square(left * self.told).sum(axis=0) / np.maximum(1, self.told.sum(axis=0))
         return np.sqrt(np.maximum(power, np.finfo(float).tiny))
 
-    def misfit(self, left: FloatArray) -> float:
-        """-2 ln L of white noise of each output's own size, but for a constant."""
-        return float((2.0 * self.told.sum(axis=0) * np.log(self.size(left))).sum())
+    def misfit(self, left: FloatArray, *, whole: bool = False) -> float:
+        """-2 ln L of white noise of each direction's own size, but for a constant; of the strong ones, or of all."""
+        counted = self.told.sum(axis=0) * (self.strong | whole)
+        return float((2.0 * counted * np.log(self.size(left))).sum())
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -198,18 +223,23 @@ class _Alike:
         part = columns[self.rows]
         return part - self.basis @ (self.basis.T @ part)
 
-    def filtered(self, above: FloatArray, below: FloatArray, values: FloatArray) -> FloatArray:
-        """(n_rows, n_columns) through the monic polynomials A(q) / C(q), at rest before, 0 where not measured."""
-        n = int(self.at[-1]) + 1
-        even = np.zeros((n, values.shape[1]))
-        even[self.at] = values
-        moved = even.copy()
-        for lag in range(1, min(len(above), n)):
-            moved[lag:] += above[lag] * even[: n - lag]
-        if len(below) > 1:
-            band = np.tile(below[:, np.newaxis], (1, n))
-            moved = scipy.linalg.solve_banded((len(below) - 1, 0), band, moved, overwrite_b=True, check_finite=False)
-        return moved[self.at]
+    def filtered(self, above: FloatArray, below: FloatArray, colour: FloatArray, values: FloatArray) -> FloatArray:
+        """(n_rows, n_columns) through A(q) / C(q), sections (n, 3) of each, and a colour; at rest before, gaps as 0."""
+        moved = np.zeros((int(self.at[-1]) + 1, values.shape[1]))
+        moved[self.at] = values
+        for one, other in zip(above, below, strict=True):
+            band = np.tile(other[:, np.newaxis], (1, len(moved)))
+            moved = scipy.linalg.solve_banded((2, 0), band, _lagged(one, moved), overwrite_b=True, check_finite=False)
+        return _lagged(colour, moved)[self.at]
+
+
+def _lagged(weights: FloatArray, values: FloatArray) -> FloatArray:
+    """(n, n_columns) sums of weighted rows before, the row itself first."""
+    summed = weights[0] * values
+    for lag in range(1, min(len(weights), len(values))):
+        if weights[lag]:
+            summed[lag:] += weights[lag] * values[:-lag]
+    return summed
 
 
 def _projected(values: FloatArray, columns: FloatArray) -> FloatArray:
@@ -224,75 +254,102 @@ def _places(times: FloatArray) -> tuple[NDArray[np.intp], float, BoolArray]:
 
     The step is 0, and all rows count, where fewer than half have.
     """
-    steps = np.diff(times)
-    step = float(steps.min(initial=np.inf))
-    at = np.concatenate([[0.0], np.cumsum(np.rint(steps / step))]).astype(np.intp)
-    rows = np.arange(len(at))
+    rows = np.arange(len(times))
+    step = int(np.gcd.reduce(np.diff(times).astype(np.intp))) if len(times) > PAST else 0
+    at = ((times - times[0]) / max(step, 1)).astype(np.intp)
     begun = np.maximum.accumulate(np.where(np.diff(at, prepend=-1) > 1, rows, 0))
     known: BoolArray = np.asarray((begun == 0) | (rows - begun >= PAST))
-    return (at, step, known) if 2 * known.sum() >= len(known) else (rows, 0.0, np.ones(len(known), dtype=np.bool_))
+    enough = step > 0 and 2 * known.sum() >= len(known)
+    return (at, float(step), known) if enough else (rows, 0.0, np.ones(len(known), dtype=np.bool_))
 
 
 def directions(seen: FloatArray, beside: FloatArray) -> FloatArray:
-    """(n_outputs, n_outputs) orthogonal columns, in which outputs move but for an offset and what is beside.
+    """(n_outputs, n_directions) orthogonal columns, in which outputs move but for an offset and what is beside.
 
-    Of outputs that were measured in the same rows, the strongest first.
+    Of outputs that were measured in the same rows, the strongest first; none in which nothing but rounding moves, as
+    where an output is the copy of another.
 
     Args:
         seen: (n, n_outputs), nan where not measured.
         beside: (n, n_columns).
     """
     there = np.isfinite(seen)
-    along = np.zeros((seen.shape[1], seen.shape[1]))
+    along, moves = np.zeros((seen.shape[1], seen.shape[1])), np.zeros(seen.shape[1], dtype=np.bool_)
     columns = np.column_stack([np.ones(len(seen)), beside])
     for rows in np.unique(there.T, axis=0):
         own = np.flatnonzero((rows == there.T).all(axis=1))
         values = seen[np.ix_(rows, own)]
-        sizes = np.linalg.lstsq(columns[rows], values, rcond=None)[0]
-        along[np.ix_(own, own)] = np.linalg.svd(values - columns[rows] @ sizes)[2].T if len(own) > 1 else 1.0
-    return along
+        values = values - columns[rows] @ np.linalg.lstsq(columns[rows], values, rcond=None)[0]
+        _, sizes, turned = np.linalg.svd(values, full_matrices=len(values) < len(own))
+        along[np.ix_(own, own)] = turned.T
+        moves[own[: len(sizes)]] = sizes > np.sqrt(np.finfo(float).eps) * sizes.max(initial=0.0)
+    return along[:, moves]
 
 
 @lru_cache(maxsize=64)  # parameters that leave the poles alone are moved one by one
 def predictor(modes: tuple[tuple[float, ...], ...], share: float, slope: float) -> tuple[FloatArray, FloatArray]:
-    """A(q) and C(q), (2 n_modes + 1,), of the motion of modes that random forces shake, in white noise.
+    """A(q) and C(q) as sections of the second order, of the motion of modes that random forces shake, in white noise.
 
     A(q) has the poles of the modes and C(q) those of the best predictor; with as much of every mode,
 
         C(q) C(1/q) ~ A(q) A(1/q) + w (1 + a (q + 1/q) / 2) (A_1(q) A_1(1/q) + A_2(q) A_2(1/q) + ...)
 
     A_i being A without the poles of mode i, w the share of what shakes over that of white noise, and a what depends on
-    the quantity that is measured: 1 where it falls off most with the frequency, -1 where least. The right side is a
-    series of Chebyshev's polynomials of the cosine of the frequency.
+    the quantity that is measured: 1 where it falls off most with the frequency, -1 where least. With u = 1 - cos of the
+    angle and a pole r exp(i p) that is 4 r^2 ((u - u_0)^2 + d^2) of each mode, u_0 = (1 + r^2)/r sin^2(p/2) -
+    (1 - r)^2/(2 r) and d = (1 - r^2)/(2 r) sin p: a polynomial of u, counted from the modes and in their distances, as
+    the poles of close, light or slow modes lose their digits in powers of q.
 
     Args:
         modes: n_modes pairs of angular frequency [rad/row] and damping ratio.
         share: ln w.
         slope: a.
 
+    Returns:
+        (n_modes, 3) monic each.
+
     Example:
         >>> rings, best = predictor(((0.5, 0.01),), np.log(1e-3), 0.5)
-        >>> print(np.round(np.abs(np.roots(rings)), 3), np.round(np.abs(np.roots(best)), 3))
-        [0.995 0.995] [0.976 0.976]
+        >>> print(np.round(np.abs(np.roots(rings[0])), 3), np.round(np.abs(np.roots(best[0])), 3))
+        [0.995 0.995] [0.961 0.961]
     """
     angular, ratio = np.array(modes).T
-    poles = np.exp((-ratio + 1j * np.sqrt(1.0 - ratio**2)) * angular)
-    pairs = np.column_stack([np.ones(len(poles)), -2.0 * poles.real, np.abs(poles) ** 2])
-    rings = _product(pairs)
-    half = np.correlate(rings, rings, "full")[len(rings) - 1 :]
-    for i in range(len(pairs)):
-        other = _product(np.delete(pairs, i, axis=0))
-        shaken = np.convolve(np.correlate(other, other, "full"), [0.5 * slope, 1.0, 0.5 * slope])
-        half[: len(rings) - 1] += np.exp(share) * shaken[len(shaken) // 2 :]
-    half[1:] *= 2.0
-    at = np.polynomial.chebyshev.chebroots(half).astype(np.complex128)
-    root = np.sqrt(at - 1.0) * np.sqrt(at + 1.0)
-    inside = np.where(np.abs(at + root) < np.abs(at - root), at + root, at - root)
-    return rings, np.asarray(np.poly(inside).real, dtype=np.float64)
+    radius, turned = np.exp(-ratio * angular), np.sqrt(1.0 - ratio**2) * angular
+    level = (1.0 + radius**2) / radius * np.sin(0.5 * turned) ** 2 - np.expm1(-ratio * angular) ** 2 / (2.0 * radius)
+    depth = -np.expm1(-2.0 * ratio * angular) / (2.0 * radius) * np.sin(turned)
+    middle, scale = level.mean(), max(float(np.ptp(level)), float(np.abs(depth).max()), LEAST_APART)
+    own = [np.array([1.0, -2.0 * u, u**2 + d**2]) for u, d in zip((level - middle) / scale, depth / scale, strict=True)]
+    force = np.exp(share) * np.array([-slope * scale, 1.0 + slope * (1.0 - middle)])
+    whole = _product(own)
+    for i, one in enumerate(radius):
+        shaken = np.convolve(force / (4.0 * one**2 * scale**2), _product(own[:i] + own[i + 1 :]))
+        whole[len(whole) - len(shaken) :] += shaken
+    rings = np.column_stack([np.ones(len(radius)), -2.0 * radius * np.cos(turned), radius**2])
+    return rings, np.array([_section(*pair) for pair in _pairs(middle + scale * np.roots(whole))])
 
 
-def _product(factors: FloatArray) -> FloatArray:
-    """The polynomial of (n, m) factors."""
+def _pairs(roots: ComplexArray) -> list[tuple[complex, complex]]:
+    """Conjugate ones together, and real ones in their order."""
+    above, real = roots[roots.imag > 0.0], np.sort(roots[roots.imag == 0.0].real)
+    return [(one, one.conjugate()) for one in above] + list(zip(real[::2], real[1::2], strict=True))
+
+
+def _section(one: complex, other: complex) -> FloatArray:
+    """(3,) the monic polynomial in q whose roots lie within the unit circle, of two of u = 1 - (q + 1/q) / 2."""
+    if (
+        one.imag == 0.0 and 0.0 < one.real < 2.0 and 0.0 < other.real < 2.0
+    ):  # on the circle by rounding: one double root
+        one = complex(0.5 * (one.real + other.real), max(0.5 * abs(one.real - other.real), LEAST_APART))
+        other = one.conjugate()
+    inside = []
+    for u in (complex(one), complex(other)):
+        half = np.sqrt(2.0 * u * (0.5 * u - 1.0))
+        inside.append(min(1.0 - u + half, 1.0 - u - half, key=abs))
+    return np.array([1.0, -(inside[0] + inside[1]).real, (inside[0] * inside[1]).real])
+
+
+def _product(factors: Sequence[FloatArray]) -> FloatArray:
+    """The polynomial of these."""
     whole = np.ones(1)
     for factor in factors:
         whole = np.convolve(whole, factor)
@@ -302,8 +359,10 @@ def _product(factors: FloatArray) -> FloatArray:
 def colour_of(values: FloatArray, count: int) -> FloatArray:
     """(COLOUR + 1,) the monic filter that makes values (n,) white, of the likeliest order by Schwarz's criterion.
 
-    Levinson's recursion, of the `count` values that are told.
+    Levinson's recursion, of the `count` values that are told, 0 where none is.
     """
+    if count < FEWEST_TOLD:
+        return np.eye(COLOUR + 1)[0]
     best = monic = np.ones(1)
     covariances = np.array([values[lag:] @ values[: len(values) - lag] for lag in range(min(COLOUR + 1, len(values)))])
     power = start = max(float(covariances[0]), TINY)

@@ -138,8 +138,8 @@ class Contender:
     """How one description fits.
 
     Attributes:
-        misfit: -2 ln L in noise of its own,
-        white: and in white noise.
+        misfit: -2 ln L in noise of its own, of the strong directions,
+        white: and in white noise, of all.
         parameters: of the description.
         noise: (n_outputs, 2), as for `Decay.innovations`.
         n_free: how many parameters are free.
@@ -215,7 +215,7 @@ class _Law:
         """The likeliest in noise of its own, from parameters and, where known, noise (n_outputs, 2) to start from."""
         left = self.left(decay, start)
         noise = self.noise(decay, start) if noise is None else noise.copy()
-        shaken, values, white = np.isfinite(noise[:, 0]), start.copy(), decay.misfit(left)
+        shaken, values, white = np.isfinite(noise[:, 0]), start.copy(), decay.misfit(left, whole=True)
         n_free, n_shaken = int(free.sum()), int(shaken.sum())
         n = n_free + 2 * n_shaken
         low, high = self._within(free)
@@ -285,7 +285,7 @@ def mode_of(decay: Decay) -> tuple[Decay, Contender]:
     law, ((values, free),) = fitted
     last, ringing = decay.last(len(decay.times) // 2), _linear(1)
     fit = ringing.told(last, law.modes(values).ravel(), np.ones(2, dtype=np.bool_))
-    decay = decay.coloured(ringing.innovations(last, fit.parameters, fit.noise))
+    decay = decay.coloured(last, ringing.innovations(last, fit.parameters, fit.noise))
     return decay, law.told(decay, values, free)
 
 

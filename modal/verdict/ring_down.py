@@ -124,7 +124,7 @@ class RingDown:
     def _closer(self) -> str:
         if self.gain > MANIFEST:
             return f"{self.gain:.2g} times as closely as"
-        return "more closely than" if self.gain > 1.0 else "by fewer numbers than"
+        return "more closely than" if self.gain > 1.0 else "with fewer numbers than"
 
     @property
     def doubt(self) -> str:
@@ -247,7 +247,7 @@ def contest_of(
         free, sizes = np.array([0, 0, 0, 0, 2 * len(certain)]), np.array([1, 1, 4, few.n_free, 2 * len(certain)])
         totals[0], misfits[0] = (np.inf, np.inf) if own is None else (totals[0], misfits[0])
         free[4 - len(fits) : 4] = [fit.n_free for fit in fits]
-        misfits[4 - len(fits) :] += [*(fit.white for fit in fits), decay.misfit(np.nan_to_num(linear))]
+        misfits[4 - len(fits) :] += [*(fit.white for fit in fits), decay.misfit(np.nan_to_num(linear), whole=True)]
         numbers += free + sizes * len(n_values)
         totals[4 - len(fits) :] += [fit.criterion(decay) for fit in fits]  # Schwarz's
         totals += sizes[:4] * np.log(n_values[decay.strong]).sum()
@@ -257,9 +257,10 @@ def contest_of(
     cut = any(decay.turns * decay.times[-1] > 2 * np.pi * (MOST_CYCLES - 1) for _, decay, _, _, _ in found)
     by_chance = misfits + 2 * numbers  # Akaike's
     _, strongest, own, _, dt = max(found, key=lambda one: one[0])
-    n_values = sum(int(decay.there.sum()) for _, decay, _, _, _ in found)
+    n_values = sum(int(decay.told.sum()) for _, decay, _, _, _ in found)
+    n_strong = sum(int(decay.told[:, decay.strong].sum()) for _, decay, _, _, _ in found)
     likelier = bool(totals[0] + EVIDENCE < totals[1:].min())
-    gain = float(np.exp(sum(closer for _, _, _, closer, _ in found) / (2 * n_values))) if likelier else 1.0
+    gain = float(np.exp(sum(closer for _, _, _, closer, _ in found) / (2 * n_strong))) if likelier else 1.0
     return Contest(
         bent=_ring_down(own, strongest.times, dt, gain) if likelier and own is not None else None,
         few=bool(misfits[1:4].min() <= misfits[4] + 2 * np.log(CLOSELY) * n_values),
@@ -307,8 +308,9 @@ def _asked(record: Record, errors: FloatArray, modes: Sequence[Mode]) -> tuple[D
     few = np.column_stack([np.abs(poles), -poles.real / np.maximum(np.abs(poles), TINY)])[certain]
     beside = exponentials(poles[~near], times)
     along = directions(seen / size, beside)
-    turned = np.where(there, np.nan_to_num(seen / size) @ along, np.nan)
-    return Decay.of(times, turned, beside), np.where(there, np.nan_to_num(linear / size) @ along, np.nan), few
+    there = there[:, [int(np.argmax(np.abs(one))) for one in along.T]]  # those of one direction were measured together
+    turned, left = (np.where(there, np.nan_to_num(values / size) @ along, np.nan) for values in (seen, linear))
+    return Decay.of(times, turned, beside), left, few
 
 
 def carried(modes: ModalModel, *, n_steps: int, output_scale: FloatArray) -> float:

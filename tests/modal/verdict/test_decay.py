@@ -84,24 +84,68 @@ def test_a_spring_that_hardens_is_told_with_its_size_under_wind():
     assert found.damping_ratio == pytest.approx((0.01, 0.01), abs=3e-3)
 
 
-@pytest.mark.parametrize(
-    "modes", [((0.4, 0.01),), ((0.4, 0.01), (0.43, 0.002)), ((0.1, 0.2), (1.4, 0.03), (2.9, 1e-3))]
-)
-@pytest.mark.parametrize(("share", "slope"), [(-12.0, 0.0), (0.0, -0.9), (6.0, 0.5)])
+CLOSE = ((0.1, 0.005), (0.12, 0.005), (0.14, 0.005))
+"""Three slow, light modes side by side, whose product loses its digits in powers of q."""
+SETS = [
+    ((0.4, 0.01),),
+    ((0.4, 0.01), (0.43, 0.002)),
+    ((0.1, 0.2), (1.4, 0.03), (2.9, 1e-3)),
+    CLOSE,
+    ((0.3, 1e-6), (0.3001, 1e-6)),
+]
+
+
+@pytest.mark.parametrize("modes", SETS)
+@pytest.mark.parametrize(("share", "slope"), [(-12.0, 0.0), (0.0, -0.9), (6.0, 0.5), (10.0, -0.98)])
 def test_the_predictor_has_the_spectrum_of_modes_in_white_noise(modes, share, slope):
     rings, best = predictor(modes, share, slope)
-    at = np.linspace(0.0, np.pi, 301)
+    at = np.linspace(0.01, 3.0, 301)
 
-    def power(monic):
-        return np.abs(np.polyval(monic, np.exp(1j * at))) ** 2
+    def power(sections):
+        return np.prod([np.abs(np.polyval(one, np.exp(1j * at))) ** 2 for one in sections], axis=0)
 
-    poles = np.array([np.exp((-z + 1j * np.sqrt(1 - z * z)) * w) for w, z in modes])
-    pairs = [np.poly([pole, pole.conjugate()]).real for pole in poles]
-    assert rings == pytest.approx(np.poly(np.concatenate([poles, poles.conj()])).real, abs=1e-12)
-    seen = power(rings) * (1.0 + np.exp(share) * (1.0 + slope * np.cos(at)) * sum(1.0 / power(pair) for pair in pairs))
-    ratio = power(best) / seen
-    assert ratio == pytest.approx(np.full(301, ratio[0]), rel=2e-5)
-    assert np.abs(np.roots(best)).max() < 1.0
+    for (w, z), section in zip(modes, rings, strict=True):
+        poles = [np.exp((-z + sign * 1j * np.sqrt(1 - z * z)) * w) for sign in (1, -1)]
+        assert section == pytest.approx(np.poly(poles).real)
+    shaken = np.exp(share) * (1.0 + slope * np.cos(at)) * sum(1.0 / power([pair]) for pair in rings)
+    ratio = power(best) / (power(rings) * (1.0 + shaken))
+    assert ratio == pytest.approx(np.full(301, ratio[0]), rel=1e-5)
+    assert max(np.abs(np.roots(one)).max() for one in best) < 1.0
+
+
+def test_an_output_that_falls_silent_takes_no_other_away():
+    times = 0.05 * np.arange(400)
+    x = np.exp(-0.02 * np.pi * times) * np.cos(2 * np.pi * times + 0.3)
+    left = 2e-3 * np.random.default_rng(0).standard_normal((400, 2))
+    seen = x[:, np.newaxis] * [1.0, -0.6] + left
+    for last in (180, 201, 230):
+        gone = np.where(np.arange(400)[:, np.newaxis] >= [400, last], np.nan, seen)
+        assert contest_of([okid.Record([], gone, 0.05)], [np.where(np.isnan(gone), np.nan, left)]).bent is None
+
+
+def test_the_copy_of_an_output_is_no_other_direction():
+    """What its difference from the first has is rounding, which outweighed all else: no few modes came near."""
+    times = 0.05 * np.arange(400)
+    x = np.exp(-0.02 * np.pi * times) * np.cos(2 * np.pi * times + 0.3)
+    left = 2e-3 * np.random.default_rng(0).standard_normal((400, 2))
+    seen = x[:, np.newaxis] * [1.0, -0.6] + left
+    assert directions(seen[:, [0, 1, 0]], np.zeros((400, 0))).shape == (3, 2)
+    assert contest_of([okid.Record([], seen[:, [0, 1, 0]], 0.05)], [left[:, [0, 1, 0]]]).few
+
+
+def test_the_colour_is_that_of_each_outputs_own_rows():
+    """Measured in turns, rows of one output lie two apart; where they stand nowhere side by side there is no colour."""
+    rng = np.random.default_rng(5)
+    noise = np.zeros(4000)
+    for i in range(2, 4000):
+        noise[i] = 0.5 * noise[i - 1] - 0.4 * noise[i - 2] + rng.standard_normal()
+    in_turns = np.full((8000, 2), np.nan)
+    in_turns[::2, 0], in_turns[1::2, 1] = noise, rng.standard_normal(4000)
+    decay = Decay.of(np.arange(8000.0), in_turns, np.zeros((8000, 0)))
+    assert decay.colours(np.nan_to_num(in_turns))[0, :3] == pytest.approx([1.0, -0.5, 0.4], abs=0.05)
+    scattered = np.where(rng.random((4000, 1)) < 0.5, np.nan, noise[:, np.newaxis])
+    decay = Decay.of(np.arange(4000.0), scattered, np.zeros((4000, 0)))
+    assert not decay.colours(np.nan_to_num(scattered))[:, 1:].any()
 
 
 def test_one_step_ahead_nothing_is_left_of_what_shakes_a_mode_but_white_noise():

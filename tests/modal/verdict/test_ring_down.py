@@ -179,7 +179,7 @@ def test_the_sentence_says_what_takes_most():
     plain = RingDown(level=LATER, frequency=(2.0, 2.0), damping_ratio=(0.02, 0.13), friction=0.02, drag=0.0, gain=3.0)
     assert "dry friction of 2 % of the spring's force" in plain.sentence
     assert "3 times as closely as two modes" in plain.sentence
-    assert "explains the decay by fewer numbers than two modes do" in replace(plain, gain=0.99).sentence
+    assert "explains the decay with fewer numbers than two modes do" in replace(plain, gain=0.99).sentence
     assert "explains the decay more closely than two modes do" in replace(plain, gain=1.01).sentence
     assert "damping 2 % at the start, 13 % at 10 %" in plain.sentence
     assert LATER == 0.1
