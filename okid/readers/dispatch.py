@@ -126,7 +126,7 @@ class FileDescription:
         outputs: likewise.
         left_out: what else is in the file, and why it is no channel.
         dt_within: how far the time step may be off, because the file's times are rounded [s].
-        doubts: where the file contradicts itself in a unit, and which one was taken.
+        doubts: where the file contradicts itself in a unit, and which one was taken; why its forces are no inputs.
     """
 
     path: Path
@@ -165,8 +165,8 @@ def describe_file(path: str | Path) -> FileDescription:
     return describe_table(read_table(path))
 
 
-def describe_table(table: Table, *, dt: float | None = None) -> FileDescription:
-    """The description of a table that has been read already.
+def describe_table(table: Table, *, dt: float | None = None, named: bool = False) -> FileDescription:
+    """The description of a table that has been read already; where channels were named, the file need not tell them.
 
     Raises:
         InvalidDataError: its time column is no uniform grid, and no time step is given.
@@ -179,7 +179,7 @@ def describe_table(table: Table, *, dt: float | None = None) -> FileDescription:
         n_samples=table.n_samples,
         dt=step,
         dt_within=within,
-        doubts=table.doubts,
+        doubts=(*table.doubts, *([table.undecided] if table.undecided and not named else [])),
         channels=tuple(conversion_of(table, index) for index in table.channels()),
         inputs=table.inputs,
         outputs=table.outputs,

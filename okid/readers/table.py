@@ -82,6 +82,7 @@ class Table:
         outputs: likewise.
         left_out: what else the file holds.
         doubts: what is doubtful of its units, one sentence each, without a full stop.
+        undecided: why what the file states of inputs is not taken, likewise; to be said where nobody names them.
     """
 
     path: Path
@@ -96,6 +97,7 @@ class Table:
     outputs: tuple[str, ...] | None = None
     left_out: tuple[LeftOut, ...] = ()
     doubts: tuple[str, ...] = ()
+    undecided: str = ""
 
     @property
     def n_samples(self) -> int:

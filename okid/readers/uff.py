@@ -35,6 +35,7 @@ class Universal:
 
 _NODE = re.compile(r"(\d{1,9})(R?[XYZ])([+-])")
 DATA_TYPES = {"m": 8, "m/s": 11, "m/s^2": 12, "N": 13, "Pa": 15}
+QUANTITIES = {8: "displacement", 9: "reaction force", 11: "velocity", 12: "acceleration", 13: "force", 15: "pressure"}
 RESPONSE, COHERENCE, MULTIPLE_COHERENCE = 4, 6, 26
 FUNCTION_TYPES = {
     0: "general function",
@@ -61,7 +62,8 @@ Set = Mapping[str, Any]
 def read_uff(path: Path) -> Table:
     """The time histories of a universal file as channels, named by node and direction ("12X+").
 
-    Those that the file states as excitation force are the inputs ("force 12X+"); a force of reaction is an output.
+    Those that the file states as excitation force are the inputs ("force 12X+"); a force of reaction is an output. In
+    a file of several hits none is: the answers to one hit are no answers to another.
 
     Raises:
         UnreadableFileError: cut off, no time history in it, or time histories of different length or time step.
@@ -77,6 +79,7 @@ def read_uff(path: Path) -> Table:
     ordinates = [np.asarray(each["data"], dtype=np.float64) for each in sets]
     drives = [int(each["ordinate_spec_data_type"]) == DATA_TYPES["N"] for each in sets]
     names = _names(sets, drives)
+    several = _several_hits(sets, drives)
     _check_same_axis(sets, names, path)
     is_si = any(states_si(each) for _, each in file.sets(Universal.UNITS))
     columns = [
@@ -102,9 +105,10 @@ def read_uff(path: Path) -> Table:
         values=np.column_stack(ordinates),
         dt=step,
         start_time=start_time,
-        inputs=tuple(compress(names, drives)) if any(drives) else None,
-        outputs=tuple(compress(names, np.logical_not(drives))) if any(drives) else None,
+        inputs=tuple(compress(names, drives)) if any(drives) and not several else None,
+        outputs=tuple(compress(names, np.logical_not(drives))) if any(drives) and not several else None,
         left_out=tuple(left_out),
+        undecided=several,
     )
 
 
@@ -270,6 +274,33 @@ def _names(sets: Sequence[Set], drives: Sequence[bool]) -> list[str]:
         if all(names) and len(set(names)) == len(names):
             return names
     return [f"{place_of(each, 'rsp') or 'channel'}_{number}" for number, each in enumerate(sets)]
+
+
+def _several_hits(sets: Sequence[Set], drives: Sequence[bool]) -> str:
+    """Why the forces are no inputs of one record: what was measured at a place is there again; "" where nothing is.
+
+    Without nodes only a force tells: sensors that nobody named are not told apart either.
+    """
+    places = [_measured_at(each) for each in sets]
+    sources = [
+        at or text_of(each["rsp_ent_name"]) or text_of(each["id1"]) for at, each in zip(places, sets, strict=True)
+    ]
+    counts = Counter((source, drive) for at, source, drive in zip(places, sources, drives, strict=True) if at or drive)
+    again = [(source or "a force", count) for (source, _), count in counts.items() if count > 1]
+    if not any(drives) or not again:
+        return ""
+    what, count = again[0]
+    return (
+        f"it holds {what} {count} times, so it seems to hold several hits, and no force was taken as an input; write "
+        "one file for each hit, or name the inputs"
+    )
+
+
+def _measured_at(data_set: Set) -> str:
+    """Quantity and place of a measurement, "acceleration at 12X+"; "" where it has no node."""
+    at, kind = place_of(data_set, "rsp"), int(data_set["ordinate_spec_data_type"])
+    quantity = QUANTITIES.get(kind) or label_of(data_set, "ordinate_axis_lab") or f"data of type {kind}"
+    return f"{quantity} at {at}" if at else ""
 
 
 def place_of(data_set: Set, side: str) -> str:
