@@ -62,8 +62,8 @@ Set = Mapping[str, Any]
 def read_uff(path: Path) -> Table:
     """The time histories of a universal file as channels, named by node and direction ("12X+").
 
-    Those that the file states as excitation force are the inputs ("force 12X+"); a force of reaction is an output. In
-    a file of several hits none is: the answers to one hit are no answers to another.
+    Those that the file states as excitation force are the inputs ("force 12X+"), unless their unit says otherwise; a
+    force of reaction is an output. In a file of several hits none is: the answers to one hit are no answers to another.
 
     Raises:
         UnreadableFileError: cut off, no time history in it, or time histories of different length or time step.
@@ -77,7 +77,9 @@ def read_uff(path: Path) -> Table:
         raise UnreadableFileError(_what_it_holds(path, kinds, list(heads.values())))
     sets = [file.read(number) for number in chosen]
     ordinates = [np.asarray(each["data"], dtype=np.float64) for each in sets]
-    drives = [int(each["ordinate_spec_data_type"]) == DATA_TYPES["N"] for each in sets]
+    forces = [int(each["ordinate_spec_data_type"]) == DATA_TYPES["N"] for each in sets]
+    no_forces = [force and _measured_otherwise(each) for force, each in zip(forces, sets, strict=True)]
+    drives = [force and not otherwise for force, otherwise in zip(forces, no_forces, strict=True)]
     names = _names(sets, drives)
     several = _several_hits(sets, drives)
     _check_same_axis(sets, names, path)
@@ -108,6 +110,11 @@ def read_uff(path: Path) -> Table:
         inputs=tuple(compress(names, drives)) if any(drives) and not several else None,
         outputs=tuple(compress(names, np.logical_not(drives))) if any(drives) and not several else None,
         left_out=tuple(left_out),
+        doubts=tuple(
+            f"{name} is stated as a force but in {label_of(each, 'ordinate_axis_units_lab')}, which is no unit of a "
+            "force, so it was not taken as an input"
+            for name, each in compress(zip(names, sets, strict=True), no_forces)
+        ),
         undecided=several,
     )
 
@@ -274,6 +281,12 @@ def _names(sets: Sequence[Set], drives: Sequence[bool]) -> list[str]:
         if all(names) and len(set(names)) == len(names):
             return names
     return [f"{place_of(each, 'rsp') or 'channel'}_{number}" for number, each in enumerate(sets)]
+
+
+def _measured_otherwise(data_set: Set) -> bool:
+    """Whether the unit is that of another quantity which sensors of a modal test measure, as that of motion."""
+    unit = convert_unit("", label_of(data_set, "ordinate_axis_units_lab")).unit
+    return unit != "N" and unit in DATA_TYPES
 
 
 def _several_hits(sets: Sequence[Set], drives: Sequence[bool]) -> str:

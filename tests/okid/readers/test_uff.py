@@ -316,3 +316,15 @@ def test_sensors_that_nobody_named_are_not_several_hits(tmp_path):
     assert read_record(path).input_names == ("channel_0",)
     path.write_bytes(force(TIPS[:, 0]) + hand_written(TIPS[:, 1]) + hand_written(TIPS[:, 2], quantity=11, label="Vel"))
     assert read_record(path).input_names == ("1Z+ Force",)
+
+
+def test_a_force_in_a_unit_of_motion_is_no_input(tmp_path):
+    path = tmp_path / "a.uff"
+    path.write_bytes(force(TIPS[:, 0]) + hand_written(TIPS[:, 1], node=2, quantity=13, unit="m/s^2"))
+    with pytest.warns(
+        IdentificationWarning, match=r"2Z\+ is stated as a force but in m/s\^2, .* not taken as an input"
+    ):
+        record = read_record(path)
+    assert (record.input_names, record.output_names) == (("force 1Z+",), ("2Z+",))
+    path.write_bytes(force(TIPS[:, 0], unit="lbf") + force(TIPS[:, 1], node=2, unit="mV") + hand_written(TIPS[:, 2]))
+    assert read_record(path).input_names == ("force 1Z+", "force 2Z+")
