@@ -216,13 +216,14 @@ def records_of_tables(
     Where they share some, each is a set-up: all records then have all channels (`okid.join_setups`).
 
     Raises:
-        InvalidDataError: different time grids, or different units of one channel.
+        InvalidDataError: different time grids, different units of one channel, or one sensor under two names.
     """
     inputs, outputs = spread_names(tables, inputs), spread_names(tables, outputs)
     held = [_held(table, inputs, outputs) for table in tables]
     for table, names in zip(tables, held, strict=True):
         if not names:  # none of the chosen channels: say which ones are missing, and what the file has
             choose_channels(table, inputs, outputs)
+    _check_one_name_a_sensor(tables, held)
     if len(tables) > 1 and all(one.isdisjoint(other) for one, other in combinations(held, 2)):
         joined = _joined(tables, held)
         return (to_record(joined, Record, inputs=inputs, outputs=outputs, dt=dt, input_hold=input_hold),)
@@ -245,6 +246,24 @@ def _held(table: Table, inputs: Sequence[str] | str | None, outputs: Sequence[st
     if into is None and table.outputs is not None:
         return frozenset([*(table.inputs or ()), *table.outputs])
     return frozenset(names)
+
+
+def _check_one_name_a_sensor(tables: Sequence[Table], held: Sequence[frozenset[str]]) -> None:
+    """Raise where files call one sensor differently: their runs would pass for different channels of one record."""
+    called: dict[str, tuple[set[str], Path]] = {}
+    for table, names in zip(tables, held, strict=True):
+        own: dict[str, set[str]] = {}
+        for column in table.columns:
+            if column.measured and column.name in names:
+                own.setdefault(column.measured, set()).add(column.name)
+        for measured, here in own.items():
+            there, path = called.setdefault(measured, (here, table.path))
+            if here != there:
+                raise InvalidDataError(
+                    f"{path.name} and {table.path.name} both hold {measured}, under the names "
+                    f"{', '.join(map(repr, sorted(there)))} and {', '.join(map(repr, sorted(here)))}, so they are two "
+                    "runs whose channels do not match; export the same quantities to every file."
+                )
 
 
 def _joined(tables: Sequence[Table], held: Sequence[frozenset[str]]) -> Table:

@@ -48,13 +48,15 @@ COUNTER_NAMES = frozenset(["sample", "samples", "sample number", "index", "row",
 class Column:
     """One column of a file: its name, its unit as written, and the header both were read from.
 
-    The seconds of a time count from its origin [s], which counts from 1970 where the file states a date.
+    The seconds of a time count from its origin [s], which counts from 1970 where the file states a date. Where the file
+    states quantity and place of a sensor, they are `measured` ("acceleration at 12X+").
     """
 
     name: str
     unit: str = ""
     header: str = ""
     origin: float = 0.0
+    measured: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

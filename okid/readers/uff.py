@@ -85,7 +85,7 @@ def read_uff(path: Path) -> Table:
     _check_same_axis(sets, names, path)
     is_si = any(states_si(each) for _, each in file.sets(Universal.UNITS))
     columns = [
-        Column(name=name, unit=unit_of(each, "ordinate", is_si=is_si), header=name)
+        Column(name=name, unit=unit_of(each, "ordinate", is_si=is_si), header=name, measured=_measured_at(each))
         for name, each in zip(names, sets, strict=True)
     ]
     step, start_time = None, 0.0
@@ -268,7 +268,8 @@ def _check_same_axis(sets: Sequence[Set], names: Sequence[str], path: Path) -> N
 def _names(sets: Sequence[Set], drives: Sequence[bool]) -> list[str]:
     """The first way that tells all sets apart: node and direction, these and the quantity, entity, first line.
 
-    A force is called one ("force 12X+"), so a sensor beside it has the same name in every file of a roving hammer.
+    A force is called one ("force 12X+"), so a sensor beside it has the same name in every file of a roving hammer where
+    the first way tells all apart; files in which another does are refused beside these when records are made of them.
     """
     places = [place_of(each, "rsp") for each in sets]
     ways: list[list[str]] = [

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import pyuff
 
-from okid.errors import IdentificationWarning, UnreadableFileError
+from okid.errors import IdentificationWarning, InvalidDataError, UnreadableFileError
 from okid.readers import describe_file, read_record, read_records
 from okid.readers.response import read_response
 
@@ -328,3 +328,16 @@ def test_a_force_in_a_unit_of_motion_is_no_input(tmp_path):
     assert (record.input_names, record.output_names) == (("force 1Z+",), ("2Z+",))
     path.write_bytes(force(TIPS[:, 0], unit="lbf") + force(TIPS[:, 1], node=2, unit="mV") + hand_written(TIPS[:, 2]))
     assert read_record(path).input_names == ("force 1Z+", "force 2Z+")
+
+
+def test_blows_whose_files_call_one_sensor_differently_are_not_joined(tmp_path):
+    """Two quantities at the place of the first blow: its file names the quantity, the other need not."""
+    first, second = tmp_path / "a.uff", tmp_path / "b.uff"
+    first.write_bytes(force(TIPS[:, 0]) + hand_written(TIPS[:, 1]) + hand_written(TIPS[:, 2], quantity=11, label="Vel"))
+    second.write_bytes(force(TIPS[:, 0], node=2) + hand_written(TIPS[:, 1]))
+    words = r"both hold acceleration at 1Z\+, under the names '1Z\+ Acceleration' and '1Z\+'.* same quantities"
+    with pytest.raises(InvalidDataError, match=words):
+        read_records([first, second])
+    second.write_bytes(hand_written(TIPS[:, 1], node=2))
+    (record,) = read_records([first, second])  # nothing was measured twice
+    assert record.n_outputs == 3
