@@ -23,7 +23,8 @@ Inputs = Annotated[
     ),
 ]
 Outputs = Annotated[
-    list[str] | None, typer.Option(metavar="NAMES", help="Names of the outputs; all others unless given.")
+    list[str] | None,
+    typer.Option(metavar="NAMES", help="Names of the outputs, or a pattern; all that are no inputs unless given."),
 ]
 
 

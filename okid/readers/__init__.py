@@ -43,8 +43,9 @@ def read_record(
             .uff .unv .ufb (universal files, data set 58), .parquet .pq, .tdms.
         inputs: names of the channels that drive the system; the name of a matrix means all its columns, "force*" all
             channels that begin so.
-        outputs: names of the channels that answer. Inputs alone: every other channel is an output. Outputs alone: no
-            inputs. Neither: what the file itself states, else every channel is an output.
+        outputs: names of the channels that answer, as for inputs; a pattern leaves out what is an input by name. Inputs
+            alone: every other channel is an output. Outputs alone: the inputs are what else the file states as such.
+            Neither: what the file itself states, else every channel is an output.
         dt: time step [s]. Needed where the file has no time axis; where it has one (a column called time or t), the
             step is the mean over the whole span, and a given dt may differ from it by 0.1 % at most.
         input_hold: what the inputs did between samples. What stands in a file was as a rule measured, through the same

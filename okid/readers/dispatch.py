@@ -29,7 +29,7 @@ from okid.readers.table import (
     choose_channels,
     chosen_names,
     conversion_of,
-    spread_names,
+    spread_roles,
     stated_step,
     to_record,
 )
@@ -218,7 +218,7 @@ def records_of_tables(
     Raises:
         InvalidDataError: different time grids, different units of one channel, or one sensor under two names.
     """
-    inputs, outputs = spread_names(tables, inputs), spread_names(tables, outputs)
+    inputs, outputs = spread_roles(tables, inputs, outputs)
     held = [_held(table, inputs, outputs) for table in tables]
     for table, names in zip(tables, held, strict=True):
         if not names:  # none of the chosen channels: say which ones are missing, and what the file has

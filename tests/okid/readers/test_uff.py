@@ -341,3 +341,25 @@ def test_blows_whose_files_call_one_sensor_differently_are_not_joined(tmp_path):
     second.write_bytes(hand_written(TIPS[:, 1], node=2))
     (record,) = read_records([first, second])  # nothing was measured twice
     assert record.n_outputs == 3
+
+
+def test_stated_forces_stay_inputs_where_outputs_alone_are_named(tmp_path):
+    path = tmp_path / "a.uff"
+    answers = [hand_written(TIPS[:, i], node=i) for i in (1, 2)]
+    path.write_bytes(force(TIPS[:, 0]) + b"".join(answers))
+    other = tmp_path / "b.uff"
+    other.write_bytes(force(TIPS[:, 0], node=2) + b"".join(answers))
+    assert read_record(path, outputs="2Z+").input_names == ("force 1Z+",)
+    assert read_record(path, inputs=[], outputs="2Z+").input_names == ()
+    assert read_record(path, outputs="*").output_names == ("force 1Z+", "1Z+", "2Z+")
+    records = read_records([path, other], outputs="2Z+")
+    assert [record.input_names for record in records] == [("force 1Z+", "force 2Z+")] * 2
+    assert [record.output_names for record in records] == [("2Z+",)] * 2
+
+
+def test_a_file_of_forces_alone_says_the_way_out(tmp_path):
+    path = tmp_path / "a.uff"
+    path.write_bytes(force(TIPS[:, 0]))
+    with pytest.raises(InvalidDataError, match=r'outputs="\*", --outputs "\*"'):
+        read_record(path)
+    assert read_record(path, outputs="*").output_names == ("force 1Z+",)
