@@ -19,7 +19,7 @@ Inputs = Annotated[
     typer.Option(
         metavar="NAMES",
         help="Names of the inputs, with commas between, or a pattern ('force*'); unless given what the file states, "
-        "else output only.",
+        "if no outputs are named either, else output only.",
     ),
 ]
 Outputs = Annotated[

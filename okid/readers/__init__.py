@@ -44,8 +44,8 @@ def read_record(
         inputs: names of the channels that drive the system; the name of a matrix means all its columns, "force*" all
             channels that begin so.
         outputs: names of the channels that answer, as for inputs; a pattern leaves out what is an input by name. Inputs
-            alone: every other channel is an output. Outputs alone: the inputs are what else the file states as such.
-            Neither: what the file itself states, else every channel is an output.
+            alone: every other channel is an output. Outputs alone: no inputs, whatever the file states. Neither: what
+            the file itself states, else every channel is an output.
         dt: time step [s]. Needed where the file has no time axis; where it has one (a column called time or t), the
             step is the mean over the whole span, and a given dt may differ from it by 0.1 % at most.
         input_hold: what the inputs did between samples. What stands in a file was as a rule measured, through the same
@@ -114,8 +114,7 @@ def read_described(
     """The records in one or several files, and what each file holds; every file is read once."""
     tables = _tables(paths)
     records = records_of_tables(tables, inputs=inputs, outputs=outputs, dt=dt, input_hold=input_hold)
-    named = inputs is not None or outputs is not None
-    return records, tuple(describe_table(table, dt=dt, named=named) for table in tables)
+    return records, tuple(describe_table(table, dt=dt, inputs=inputs, outputs=outputs) for table in tables)
 
 
 def _warn(

@@ -29,6 +29,7 @@ from okid.readers.table import (
     choose_channels,
     chosen_names,
     conversion_of,
+    spread_names,
     spread_roles,
     stated_step,
     to_record,
@@ -126,7 +127,7 @@ class FileDescription:
         outputs: likewise.
         left_out: what else is in the file, and why it is no channel.
         dt_within: how far the time step may be off, because the file's times are rounded [s].
-        doubts: where the file contradicts itself in a unit, and which one was taken; why its forces are no inputs.
+        doubts: where the file contradicts itself in a unit, and which one was taken; why its inputs are not used.
     """
 
     path: Path
@@ -165,8 +166,14 @@ def describe_file(path: str | Path) -> FileDescription:
     return describe_table(read_table(path))
 
 
-def describe_table(table: Table, *, dt: float | None = None, named: bool = False) -> FileDescription:
-    """The description of a table that has been read already; where channels were named, the file need not tell them.
+def describe_table(
+    table: Table,
+    *,
+    dt: float | None = None,
+    inputs: Sequence[str] | str | None = None,
+    outputs: Sequence[str] | str | None = None,
+) -> FileDescription:
+    """The description of a table that has been read already, and of what became of its inputs with these names.
 
     Raises:
         InvalidDataError: its time column is no uniform grid, and no time step is given.
@@ -179,12 +186,27 @@ def describe_table(table: Table, *, dt: float | None = None, named: bool = False
         n_samples=table.n_samples,
         dt=step,
         dt_within=within,
-        doubts=(*table.doubts, *([table.undecided] if table.undecided and not named else [])),
+        doubts=(*table.doubts, *_of_inputs(table, inputs, outputs)),
         channels=tuple(conversion_of(table, index) for index in table.channels()),
         inputs=table.inputs,
         outputs=table.outputs,
         left_out=(*table.left_out, *(LeftOut(name=name, reason=A_FURTHER_TIME) for name in times)),
     )
+
+
+def _of_inputs(
+    table: Table, inputs: Sequence[str] | str | None, outputs: Sequence[str] | str | None
+) -> tuple[str, ...]:
+    """Why the file's word on its inputs is not taken where no inputs are named."""
+    if inputs is not None:
+        return ()
+    if outputs is None:
+        return (table.undecided,) if table.undecided else ()
+    named = spread_names([table], outputs) or ()
+    dropped = [name for name in table.inputs or () if name not in named]
+    if not dropped:
+        return ()
+    return (f"it states {', '.join(dropped)} as inputs, and only outputs were named: name the inputs too to use them",)
 
 
 def remarks_on(conversions: Sequence[UnitConversion]) -> list[str]:

@@ -399,17 +399,9 @@ def spread_names(tables: Sequence[Table], names: Names, *, but: Sequence[str] = 
 
 
 def spread_roles(tables: Sequence[Table], inputs: Names, outputs: Names) -> tuple[list[str] | None, list[str] | None]:
-    """The channels that the names of inputs and outputs stand for; a pattern of outputs leaves out the inputs.
-
-    Where outputs alone are named, the inputs are those that files state, but for what is named an output.
-    """
+    """The channels that the names of inputs and outputs stand for; a pattern of outputs leaves out the inputs."""
     into = spread_names(tables, inputs)
-    out = spread_names(tables, outputs, but=into or ())
-    if into is None and out is not None and any(table.inputs for table in tables):
-        into = [
-            name for name in dict.fromkeys(name for table in tables for name in table.inputs or ()) if name not in out
-        ]
-    return into, out
+    return into, spread_names(tables, outputs, but=into or ())
 
 
 def chosen_names(table: Table, inputs: Names, outputs: Names) -> tuple[list[str], list[str]]:
@@ -427,9 +419,8 @@ def chosen_names(table: Table, inputs: Names, outputs: Names) -> tuple[list[str]
 def choose_channels(table: Table, inputs: Names, outputs: Names) -> tuple[list[int], list[int]]:
     """Column indices of the inputs and of the outputs, in the order of the names.
 
-    Inputs and outputs given: these. Inputs alone: every other channel is an output. Outputs alone: the other
-    channels that the file states as inputs. Neither: what the file itself states, else every channel is an output. The
-    time column and a sample counter are no channels.
+    Inputs and outputs given: these. Inputs alone: every other channel is an output. Outputs alone: no inputs. Neither:
+    what the file itself states, else every channel is an output. The time column and a sample counter are no channels.
 
     Raises:
         InvalidDataError: no such channel, one that is both input and output or named twice, or no output left.

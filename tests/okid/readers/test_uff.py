@@ -7,7 +7,7 @@ import pytest
 import pyuff
 
 from okid.errors import IdentificationWarning, InvalidDataError, UnreadableFileError
-from okid.readers import describe_file, read_record, read_records
+from okid.readers import describe_file, read_described, read_record, read_records
 from okid.readers.response import read_response
 
 RNG = np.random.default_rng(10)
@@ -343,18 +343,15 @@ def test_blows_whose_files_call_one_sensor_differently_are_not_joined(tmp_path):
     assert record.n_outputs == 3
 
 
-def test_stated_forces_stay_inputs_where_outputs_alone_are_named(tmp_path):
+def test_stated_forces_that_naming_the_outputs_drops_are_remarked(tmp_path):
     path = tmp_path / "a.uff"
-    answers = [hand_written(TIPS[:, i], node=i) for i in (1, 2)]
-    path.write_bytes(force(TIPS[:, 0]) + b"".join(answers))
-    other = tmp_path / "b.uff"
-    other.write_bytes(force(TIPS[:, 0], node=2) + b"".join(answers))
-    assert read_record(path, outputs="2Z+").input_names == ("force 1Z+",)
-    assert read_record(path, inputs=[], outputs="2Z+").input_names == ()
-    assert read_record(path, outputs="*").output_names == ("force 1Z+", "1Z+", "2Z+")
-    records = read_records([path, other], outputs="2Z+")
-    assert [record.input_names for record in records] == [("force 1Z+", "force 2Z+")] * 2
-    assert [record.output_names for record in records] == [("2Z+",)] * 2
+    path.write_bytes(force(TIPS[:, 0]) + hand_written(TIPS[:, 1], node=2))
+    (record,), (described,) = read_described(path, outputs="2Z+")
+    assert record.n_inputs == 0
+    assert "states force 1Z+ as inputs, and only outputs were named" in str(described)
+    for names in ({}, {"outputs": "*"}, {"inputs": "force*", "outputs": "2Z+"}):
+        assert not read_described(path, **names)[1][0].remarks
+    assert read_record(path, outputs="*").output_names == ("force 1Z+", "2Z+")
 
 
 def test_a_file_of_forces_alone_says_the_way_out(tmp_path):
