@@ -19,11 +19,12 @@ Inputs = Annotated[
     typer.Option(
         metavar="NAMES",
         help="Names of the inputs, with commas between, or a pattern ('force*'); unless given what the file states, "
-        "else output only.",
+        "if no outputs are named either, else output only.",
     ),
 ]
 Outputs = Annotated[
-    list[str] | None, typer.Option(metavar="NAMES", help="Names of the outputs; all others unless given.")
+    list[str] | None,
+    typer.Option(metavar="NAMES", help="Names of the outputs, or a pattern; all that are no inputs unless given."),
 ]
 
 

@@ -239,10 +239,8 @@ def _with_delays(
     progress: Callable[[str, float], None] | None,
 ) -> Identification:
     several, kind_found, mend = _within_memory(records, given_kind(kind))
-    if kind_found.kind == "decay":  # what a release does is neither late nor summed, and its end is its level
+    if kind_found.kind == "decay":
         several, mend = released(several, kind_found.starts), None
-        integrators, input_delay = 0, 0
-        drift = "none" if drift == "auto" else drift
     with one_blas_thread():
         tell = listener(progress)
         tell("looking at the data", 0.0)

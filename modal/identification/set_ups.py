@@ -110,7 +110,7 @@ def identify_setups(
     if records[0].n_inputs:
         _refuse_what_nobody_measured(records, setups)
     told = {} if decimation is not None else {"frequency band": "the widest band that a set-up asks for"}
-    if input_delay is None:
+    if input_delay is None and records[0].n_inputs:
         told["input delay"] = "the earliest that a set-up asks for; before, the inputs of each were moved by its own"
     if decimation is None:
         centred = [_own_channels(records, one) for one in setups]

@@ -505,19 +505,25 @@ def length_findings(records: Sequence[Record], *, has_coherence: bool) -> list[F
             )
         )
     if first.n_inputs and not has_coherence:
-        whole = all(with_numbers(record.outputs).all() for record in records)
-        why = (
-            "the records are too short, or have too many gaps, for measured coherence"
-            if whole
-            else "no set-up measured every output, so coherence with all of them does not exist"
-        )
+        n_whole = sum(bool(with_numbers(record.outputs).all()) for record in records)
+        each = "" if n_whole == len(records) else "; check each set-up by itself for it"
         found.append(
             Finding(
                 level="note",
                 what="no coherence",
                 where="all records",
-                sentence=f"{why}: how much of the outputs the inputs explain was not looked at"
-                f"{'' if whole else '; check each set-up by itself for it'}.",
+                sentence=f"{_why_no_coherence(n_whole, len(records))}: how much of the outputs the inputs explain was "
+                f"not looked at{each}.",
             )
         )
     return found
+
+
+def _why_no_coherence(n_whole: int, n_records: int) -> str:
+    """Coherence is that of the records with all outputs: none is there, or they are too short."""
+    if n_whole == 0:
+        return "no set-up measured every output, so coherence with all of them does not exist"
+    if n_whole == n_records:
+        return "the records are too short, or have too many gaps, for measured coherence"
+    whole = f"{n_whole} set-up{'s' * (n_whole > 1)} of {n_records} measured every output"
+    return f"{whole}, too briefly or with too many gaps for measured coherence"

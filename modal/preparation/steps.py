@@ -123,7 +123,8 @@ def prepare(
         input_delay: samples of the records given by which inputs act late (below zero early), one number or one an
             input.
         drift: "none", "linear", or a number of slow functions (1 a line, 2 a parabola, more: half-waves).
-        kind: of the records; what was struck gets its level from rest, and rows of rest in front.
+        kind: of the records; what was struck gets its level from rest, and rows of rest in front. A ring-down has
+            neither integrators nor input delays, and no drift unless it is given.
         mend: what `mended` makes of them, where that is known.
 
     Raises:
@@ -140,6 +141,9 @@ def prepare(
         ((6,), 0, 1)
     """
     first = records[0]
+    level_given = drift != "auto"
+    if kind == "decay":  # what a release does is neither late nor summed, and its end is its level
+        integrators, input_delay, drift = 0, 0, drift if level_given else "none"
     slow_functions_given = _slow_functions_given(drift)
     given = None if integrators == "auto" else given_integrators(integrators)
     check_delay_word(input_delay)
@@ -162,13 +166,11 @@ def prepare(
     there = filling.measured if holds_filled(filling.records, filling.measured) else ()
     banded, factor, band = _to_band(filling.records, decimation, number, measured, there=there)
     lost = filter_half_length(factor) if factor > 1 else 0
-    centring: tuple[Choice, ...]
+    centring: tuple[Choice, ...] = (_MEAN,) if rested is None else rested.choices
     if rested is None:
         banded = tuple(one.detrended() for one in banded) if factor > 1 else banded
-        centring = (_MEAN,)
     else:
         n_rest = tuple(max(0, -(-(n - lost) // factor)) for n in n_rest)
-        centring = rested.choices
     if isinstance(input_delay, str):
         delay = choose_input_delay(banded)
         if first.n_inputs and not number and (kind == "driven" or (rested is not None and rested.looks_ahead)):
@@ -184,8 +186,7 @@ def prepare(
     else:
         same = factor == 1 and not any(delay.samples)
         drifting = choose_drift(late_inputs(summed, delay.samples), trials=trials if same else None)
-    slow = drifting.n_functions
-    freed = tuple(without_drift(record, slow) if slow else record for record in summed)
+    freed = tuple(without_drift(record, n) if (n := drifting.n_functions) else record for record in summed)
     own = [_own_inputs(*three, number) for three in zip(banded, summed, freed, strict=True)]
     late, early = late_and_early(delay.samples)
     return Preparation(
@@ -202,7 +203,8 @@ def prepare(
             *filling.choices,
             *centring,
             band,
-            *(_of_a_release(one, kind) for one in (integrating.choice, delay.choice, drifting.choice)),
+            *(_of_a_release(one) if kind == "decay" else one for one in (integrating.choice, delay.choice)),
+            drifting.choice if level_given or kind != "decay" else _of_a_release(drifting.choice),
         ),
         warnings=(
             *mend.warnings,
@@ -257,10 +259,8 @@ def _parts(records: Sequence[Record]) -> tuple[tuple[Record, ...], tuple[Choice,
     return parts, (gaps,)
 
 
-def _of_a_release(choice: Choice, kind: RecordKind) -> Choice:
-    """The choice, and why, where it is no caller's but that of a ring-down, which has no input that could be late."""
-    if kind != "decay" or choice.reason != "given as an argument":
-        return choice
+def _of_a_release(choice: Choice) -> Choice:
+    """The choice that a ring-down makes, which has no input that could be late, and why."""
     return replace(choice, reason="a release is neither late nor summed, and the end of the record is its level")
 
 

@@ -217,7 +217,7 @@ def timing_findings(records: Sequence[Record], moving: Sequence[int]) -> list[Fi
     """Outputs that begin to answer before the input, or all of them late.
 
     A channel that is shifted is so against every other: where there are several inputs and outputs, an output is ahead
-    of two inputs, or two outputs of one. A single pair is what chance makes of blows without power at high frequencies.
+    of two inputs, or two outputs of one. Other pairs are what chance makes of blows without power at high frequencies.
 
     Args:
         records: of one system.
@@ -239,9 +239,7 @@ def timing_findings(records: Sequence[Record], moving: Sequence[int]) -> list[Fi
         if lags.min() <= -AHEAD:
             each = [lags] if len(group) == 1 else [_lags(parts, [i]) for i in group]
             early |= {i: lag for i, lag in zip(group, each, strict=True) if lag is not None and lag.min() <= -AHEAD}
-    pairs = np.array([lag <= -AHEAD for lag in early.values()]).reshape(-1, first.n_inputs)
-    alone = pairs.sum() == 1 and first.n_inputs > 1 and len(moving) > 1
-    found += [] if alone else [_ahead(first, i, lag) for i, lag in early.items()]
+    found += [_ahead(first, i, lag) for i, lag in _told_twice(early, first.n_inputs, len(moving)).items()]
     late = min((int(lags.min()) for lags in together), default=0)
     if late >= LEAST_DELAY:
         found.append(
@@ -255,6 +253,16 @@ def timing_findings(records: Sequence[Record], moving: Sequence[int]) -> list[Fi
             )
         )
     return found
+
+
+def _told_twice(early: dict[int, FloatArray], n_inputs: int, n_outputs: int) -> dict[int, FloatArray]:
+    """Lags of the pairs that share their input or their output with another pair ahead, zero elsewhere, by output."""
+    if not early or n_inputs == 1 or n_outputs == 1:
+        return early
+    lags = np.stack(list(early.values()))
+    ahead = lags <= -AHEAD
+    twice = ahead & ((ahead.sum(axis=0) > 1) | (ahead.sum(axis=1) > 1)[:, np.newaxis])
+    return {i: np.where(of, lag, 0.0) for i, lag, of in zip(early, lags, twice, strict=True) if of.any()}
 
 
 def _ahead(record: Record, output: int, lags: FloatArray) -> Finding:

@@ -43,8 +43,9 @@ def read_record(
             .uff .unv .ufb (universal files, data set 58), .parquet .pq, .tdms.
         inputs: names of the channels that drive the system; the name of a matrix means all its columns, "force*" all
             channels that begin so.
-        outputs: names of the channels that answer. Inputs alone: every other channel is an output. Outputs alone: no
-            inputs. Neither: what the file itself states, else every channel is an output.
+        outputs: names of the channels that answer, as for inputs; a pattern leaves out what is an input by name. Inputs
+            alone: every other channel is an output. Outputs alone: no inputs, whatever the file states. Neither: what
+            the file itself states, else every channel is an output.
         dt: time step [s]. Needed where the file has no time axis; where it has one (a column called time or t), the
             step is the mean over the whole span, and a given dt may differ from it by 0.1 % at most.
         input_hold: what the inputs did between samples. What stands in a file was as a rule measured, through the same
@@ -62,11 +63,12 @@ def read_record(
             numbers that cannot be a record.
 
     Warns:
-        IdentificationWarning: a channel may be in another unit than the record says; a matrix lies on its side.
+        IdentificationWarning: a channel may be in another unit than the record says; a matrix lies on its side; a file
+            of several hits, whose forces are no inputs.
     """
     table = read_table(path)
     record = to_record(table, Record, inputs=inputs, outputs=outputs, dt=dt, input_hold=input_hold)
-    _warn([table], [record], outputs)
+    _warn([table], [record], inputs, outputs)
     return record
 
 
@@ -97,7 +99,7 @@ def read_records(
     """
     tables = _tables(paths)
     records = records_of_tables(tables, inputs=inputs, outputs=outputs, dt=dt, input_hold=input_hold)
-    _warn(tables, records, outputs)
+    _warn(tables, records, inputs, outputs)
     return records
 
 
@@ -112,18 +114,27 @@ def read_described(
     """The records in one or several files, and what each file holds; every file is read once."""
     tables = _tables(paths)
     records = records_of_tables(tables, inputs=inputs, outputs=outputs, dt=dt, input_hold=input_hold)
-    return records, tuple(describe_table(table, dt=dt) for table in tables)
+    return records, tuple(describe_table(table, dt=dt, inputs=inputs, outputs=outputs) for table in tables)
 
 
-def _warn(tables: Sequence[Table], records: Sequence[Record], outputs: Sequence[str] | str | None) -> None:
-    """Warn of channels that may be in another unit than their record says, and of matrices that lie on their side."""
+def _warn(
+    tables: Sequence[Table],
+    records: Sequence[Record],
+    inputs: Sequence[str] | str | None,
+    outputs: Sequence[str] | str | None,
+) -> None:
+    """Warn of channels that may be in another unit than their record says, or no inputs, and of matrices on their side.
+
+    Who names the channels misses none, and need not be told that the file does not say which are inputs.
+    """
     used = {name for record in records for name in (*record.input_names, *record.output_names)}
     said: dict[str, None] = {}
     for table in tables:
         every = [conversion_of(table, index) for index in table.channels()]
         said |= dict.fromkeys(remarks_on([each for each in every if each.channel in used and each.doubtful]))
-        left_out = table.left_out if outputs is None else ()  # who names the outputs misses none
-        said |= dict.fromkeys(f"{table.path.name}: {doubt}" for doubt in table.doubts)
+        left_out = table.left_out if outputs is None else ()
+        undecided = [table.undecided] if table.undecided and inputs is None and outputs is None else []
+        said |= dict.fromkeys(f"{table.path.name}: {doubt}" for doubt in (*table.doubts, *undecided))
         said |= {f"{left.name} was left out: {left.reason}": None for left in left_out if TRANSPOSED in left.reason}
     for sentence in said:
         warnings.warn(f"{sentence}.", IdentificationWarning, stacklevel=3)

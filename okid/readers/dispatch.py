@@ -30,6 +30,7 @@ from okid.readers.table import (
     chosen_names,
     conversion_of,
     spread_names,
+    spread_roles,
     stated_step,
     to_record,
 )
@@ -126,7 +127,7 @@ class FileDescription:
         outputs: likewise.
         left_out: what else is in the file, and why it is no channel.
         dt_within: how far the time step may be off, because the file's times are rounded [s].
-        doubts: where the file contradicts itself in a unit, and which one was taken.
+        doubts: where the file contradicts itself in a unit, and which one was taken; why its inputs are not used.
     """
 
     path: Path
@@ -165,8 +166,14 @@ def describe_file(path: str | Path) -> FileDescription:
     return describe_table(read_table(path))
 
 
-def describe_table(table: Table, *, dt: float | None = None) -> FileDescription:
-    """The description of a table that has been read already.
+def describe_table(
+    table: Table,
+    *,
+    dt: float | None = None,
+    inputs: Sequence[str] | str | None = None,
+    outputs: Sequence[str] | str | None = None,
+) -> FileDescription:
+    """The description of a table that has been read already, and of what became of its inputs with these names.
 
     Raises:
         InvalidDataError: its time column is no uniform grid, and no time step is given.
@@ -179,12 +186,27 @@ def describe_table(table: Table, *, dt: float | None = None) -> FileDescription:
         n_samples=table.n_samples,
         dt=step,
         dt_within=within,
-        doubts=table.doubts,
+        doubts=(*table.doubts, *_of_inputs(table, inputs, outputs)),
         channels=tuple(conversion_of(table, index) for index in table.channels()),
         inputs=table.inputs,
         outputs=table.outputs,
         left_out=(*table.left_out, *(LeftOut(name=name, reason=A_FURTHER_TIME) for name in times)),
     )
+
+
+def _of_inputs(
+    table: Table, inputs: Sequence[str] | str | None, outputs: Sequence[str] | str | None
+) -> tuple[str, ...]:
+    """Why the file's word on its inputs is not taken where no inputs are named."""
+    if inputs is not None:
+        return ()
+    if outputs is None:
+        return (table.undecided,) if table.undecided else ()
+    named = spread_names([table], outputs) or ()
+    dropped = [name for name in table.inputs or () if name not in named]
+    if not dropped:
+        return ()
+    return (f"it states {', '.join(dropped)} as inputs, and only outputs were named: name the inputs too to use them",)
 
 
 def remarks_on(conversions: Sequence[UnitConversion]) -> list[str]:
@@ -216,13 +238,14 @@ def records_of_tables(
     Where they share some, each is a set-up: all records then have all channels (`okid.join_setups`).
 
     Raises:
-        InvalidDataError: different time grids, or different units of one channel.
+        InvalidDataError: different time grids, different units of one channel, or one sensor under two names.
     """
-    inputs, outputs = spread_names(tables, inputs), spread_names(tables, outputs)
+    inputs, outputs = spread_roles(tables, inputs, outputs)
     held = [_held(table, inputs, outputs) for table in tables]
     for table, names in zip(tables, held, strict=True):
         if not names:  # none of the chosen channels: say which ones are missing, and what the file has
             choose_channels(table, inputs, outputs)
+    _check_one_name_a_sensor(tables, held)
     if len(tables) > 1 and all(one.isdisjoint(other) for one, other in combinations(held, 2)):
         joined = _joined(tables, held)
         return (to_record(joined, Record, inputs=inputs, outputs=outputs, dt=dt, input_hold=input_hold),)
@@ -245,6 +268,24 @@ def _held(table: Table, inputs: Sequence[str] | str | None, outputs: Sequence[st
     if into is None and table.outputs is not None:
         return frozenset([*(table.inputs or ()), *table.outputs])
     return frozenset(names)
+
+
+def _check_one_name_a_sensor(tables: Sequence[Table], held: Sequence[frozenset[str]]) -> None:
+    """Raise where files call one sensor differently: their runs would pass for different channels of one record."""
+    called: dict[str, tuple[set[str], Path]] = {}
+    for table, names in zip(tables, held, strict=True):
+        own: dict[str, set[str]] = {}
+        for column in table.columns:
+            if column.measured and column.name in names:
+                own.setdefault(column.measured, set()).add(column.name)
+        for measured, here in own.items():
+            there, path = called.setdefault(measured, (here, table.path))
+            if here != there:
+                raise InvalidDataError(
+                    f"{path.name} and {table.path.name} both hold {measured}, under the names "
+                    f"{', '.join(map(repr, sorted(there)))} and {', '.join(map(repr, sorted(here)))}, so they are two "
+                    "runs whose channels do not match; export the same quantities to every file."
+                )
 
 
 def _joined(tables: Sequence[Table], held: Sequence[frozenset[str]]) -> Table:

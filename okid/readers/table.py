@@ -48,13 +48,15 @@ COUNTER_NAMES = frozenset(["sample", "samples", "sample number", "index", "row",
 class Column:
     """One column of a file: its name, its unit as written, and the header both were read from.
 
-    The seconds of a time count from its origin [s], which counts from 1970 where the file states a date.
+    The seconds of a time count from its origin [s], which counts from 1970 where the file states a date. Where the file
+    states quantity and place of a sensor, they are `measured` ("acceleration at 12X+").
     """
 
     name: str
     unit: str = ""
     header: str = ""
     origin: float = 0.0
+    measured: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,6 +84,7 @@ class Table:
         outputs: likewise.
         left_out: what else the file holds.
         doubts: what is doubtful of its units, one sentence each, without a full stop.
+        undecided: why what the file states of inputs is not taken, likewise; to be said where nobody names them.
     """
 
     path: Path
@@ -96,6 +99,7 @@ class Table:
     outputs: tuple[str, ...] | None = None
     left_out: tuple[LeftOut, ...] = ()
     doubts: tuple[str, ...] = ()
+    undecided: str = ""
 
     @property
     def n_samples(self) -> int:
@@ -368,33 +372,41 @@ def as_names(names: Names) -> list[str] | None:
     return listed
 
 
-def spread_names(tables: Sequence[Table], names: Names) -> list[str] | None:
+def spread_names(tables: Sequence[Table], names: Names, *, but: Sequence[str] = ()) -> list[str] | None:
     """The channels that names stand for, in the order in which the tables have them; None stays None.
 
     A name stands for the channel that is called so, else for the columns of a matrix that is ("u" for u_0 and u_1),
-    else, with `*` for any letters and `?` for one, for every channel that fits ("force p*"). What stands for none is
-    kept: the message that it is missing names it.
+    else, with `*` for any letters and `?` for one, for every channel that fits ("force p*") and is none of `but`. What
+    stands for several gives none twice. What stands for none is kept: the message that it is missing names it.
     """
     listed = as_names(names)
     if listed is None:
         return None
     spread: list[str] = []
+    of_several: set[str] = set()
     for name in listed:
         if any(name in table.names for table in tables):
-            spread.append(name)
+            spread += [] if name in of_several else [name]
             continue
         columns = [table.columns[index] for table in tables for index in table.channels()]
-        found = [column.name for column in columns if column.header == name]
+        found, left = [column.name for column in columns if column.header == name], frozenset(spread)
         if not found and set(name) & set("*?"):
             pattern = re.compile(re.escape(name).replace(r"\*", ".*").replace(r"\?", "."), re.DOTALL)
-            found = [column.name for column in columns if pattern.fullmatch(column.name)]
-        spread += dict.fromkeys(found or [name])
+            found, left = [column.name for column in columns if pattern.fullmatch(column.name)], left.union(but)
+        of_several |= set(found)
+        spread += [each for each in dict.fromkeys(found or [name]) if each not in left]
     return spread
+
+
+def spread_roles(tables: Sequence[Table], inputs: Names, outputs: Names) -> tuple[list[str] | None, list[str] | None]:
+    """The channels that the names of inputs and outputs stand for; a pattern of outputs leaves out the inputs."""
+    into = spread_names(tables, inputs)
+    return into, spread_names(tables, outputs, but=into or ())
 
 
 def chosen_names(table: Table, inputs: Names, outputs: Names) -> tuple[list[str], list[str]]:
     """Names of the inputs and outputs, as `choose_channels` decides, not yet looked up."""
-    into, out = spread_names([table], inputs), spread_names([table], outputs)
+    into, out = spread_roles([table], inputs, outputs)
     if into is None and out is None and table.outputs is not None:
         return list(table.inputs or ()), list(table.outputs)
     into = into or []
@@ -425,7 +437,7 @@ def choose_channels(table: Table, inputs: Names, outputs: Names) -> tuple[list[i
     if not indices[1]:
         raise InvalidDataError(
             f"no output is left in {table.path.name}: its channels are {_channels_of(table)}, and all of them are "
-            "inputs; name at least one output."
+            'inputs; name at least one output, or all (outputs="*", --outputs "*").'
         )
     return indices
 

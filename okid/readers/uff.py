@@ -35,6 +35,7 @@ class Universal:
 
 _NODE = re.compile(r"(\d{1,9})(R?[XYZ])([+-])")
 DATA_TYPES = {"m": 8, "m/s": 11, "m/s^2": 12, "N": 13, "Pa": 15}
+QUANTITIES = {8: "displacement", 9: "reaction force", 11: "velocity", 12: "acceleration", 13: "force", 15: "pressure"}
 RESPONSE, COHERENCE, MULTIPLE_COHERENCE = 4, 6, 26
 FUNCTION_TYPES = {
     0: "general function",
@@ -61,7 +62,8 @@ Set = Mapping[str, Any]
 def read_uff(path: Path) -> Table:
     """The time histories of a universal file as channels, named by node and direction ("12X+").
 
-    Those that the file states as excitation force are the inputs ("force 12X+"); a force of reaction is an output.
+    Those that the file states as excitation force are the inputs ("force 12X+"), unless their unit says otherwise; a
+    force of reaction is an output. In a file of several hits none is: the answers to one hit are no answers to another.
 
     Raises:
         UnreadableFileError: cut off, no time history in it, or time histories of different length or time step.
@@ -75,12 +77,15 @@ def read_uff(path: Path) -> Table:
         raise UnreadableFileError(_what_it_holds(path, kinds, list(heads.values())))
     sets = [file.read(number) for number in chosen]
     ordinates = [np.asarray(each["data"], dtype=np.float64) for each in sets]
-    drives = [int(each["ordinate_spec_data_type"]) == DATA_TYPES["N"] for each in sets]
+    forces = [int(each["ordinate_spec_data_type"]) == DATA_TYPES["N"] for each in sets]
+    no_forces = [force and _measured_otherwise(each) for force, each in zip(forces, sets, strict=True)]
+    drives = [force and not otherwise for force, otherwise in zip(forces, no_forces, strict=True)]
     names = _names(sets, drives)
+    several = _several_hits(sets, drives)
     _check_same_axis(sets, names, path)
     is_si = any(states_si(each) for _, each in file.sets(Universal.UNITS))
     columns = [
-        Column(name=name, unit=unit_of(each, "ordinate", is_si=is_si), header=name)
+        Column(name=name, unit=unit_of(each, "ordinate", is_si=is_si), header=name, measured=_measured_at(each))
         for name, each in zip(names, sets, strict=True)
     ]
     step, start_time = None, 0.0
@@ -102,9 +107,15 @@ def read_uff(path: Path) -> Table:
         values=np.column_stack(ordinates),
         dt=step,
         start_time=start_time,
-        inputs=tuple(compress(names, drives)) if any(drives) else None,
-        outputs=tuple(compress(names, np.logical_not(drives))) if any(drives) else None,
+        inputs=tuple(compress(names, drives)) if any(drives) and not several else None,
+        outputs=tuple(compress(names, np.logical_not(drives))) if any(drives) and not several else None,
         left_out=tuple(left_out),
+        doubts=tuple(
+            f"{name} is stated as a force but in {label_of(each, 'ordinate_axis_units_lab')}, which is no unit of a "
+            "force, so it was not taken as an input"
+            for name, each in compress(zip(names, sets, strict=True), no_forces)
+        ),
+        undecided=several,
     )
 
 
@@ -257,7 +268,8 @@ def _check_same_axis(sets: Sequence[Set], names: Sequence[str], path: Path) -> N
 def _names(sets: Sequence[Set], drives: Sequence[bool]) -> list[str]:
     """The first way that tells all sets apart: node and direction, these and the quantity, entity, first line.
 
-    A force is called one ("force 12X+"), so a sensor beside it has the same name in every file of a roving hammer.
+    A force is called one ("force 12X+"), so a sensor beside it has the same name in every file of a roving hammer where
+    the first way tells all apart; files in which another does are refused beside these when records are made of them.
     """
     places = [place_of(each, "rsp") for each in sets]
     ways: list[list[str]] = [
@@ -270,6 +282,39 @@ def _names(sets: Sequence[Set], drives: Sequence[bool]) -> list[str]:
         if all(names) and len(set(names)) == len(names):
             return names
     return [f"{place_of(each, 'rsp') or 'channel'}_{number}" for number, each in enumerate(sets)]
+
+
+def _measured_otherwise(data_set: Set) -> bool:
+    """Whether the unit is that of another quantity which sensors of a modal test measure, as that of motion."""
+    unit = convert_unit("", label_of(data_set, "ordinate_axis_units_lab")).unit
+    return unit != "N" and unit in DATA_TYPES
+
+
+def _several_hits(sets: Sequence[Set], drives: Sequence[bool]) -> str:
+    """Why the forces are no inputs of one record: what was measured at a place is there again; "" where nothing is.
+
+    Without nodes only a force tells: sensors that nobody named are not told apart either.
+    """
+    places = [_measured_at(each) for each in sets]
+    sources = [
+        at or text_of(each["rsp_ent_name"]) or text_of(each["id1"]) for at, each in zip(places, sets, strict=True)
+    ]
+    counts = Counter((source, drive) for at, source, drive in zip(places, sources, drives, strict=True) if at or drive)
+    again = [(source or "a force", count) for (source, _), count in counts.items() if count > 1]
+    if not any(drives) or not again:
+        return ""
+    what, count = again[0]
+    return (
+        f"it holds {what} {count} times, so it seems to hold several hits, and no force was taken as an input; write "
+        "one file for each hit, or name the inputs"
+    )
+
+
+def _measured_at(data_set: Set) -> str:
+    """Quantity and place of a measurement, "acceleration at 12X+"; "" where it has no node."""
+    at, kind = place_of(data_set, "rsp"), int(data_set["ordinate_spec_data_type"])
+    quantity = QUANTITIES.get(kind) or label_of(data_set, "ordinate_axis_lab") or f"data of type {kind}"
+    return f"{quantity} at {at}" if at else ""
 
 
 def place_of(data_set: Set, side: str) -> str:

@@ -75,6 +75,13 @@ def test_no_longer_record_is_asked_for_where_rows_would_be_rest():
     assert not any("given" in choice.reason for choice in result.choices if choice.what != "record kind")
 
 
+def test_the_drift_that_a_caller_gives_for_a_decay_is_called_his():
+    result = identified(random_records("decay", 207, n_records=1), drift="linear", observer_order=40, order=4)
+    reasons = {choice.what: choice.reason for choice in result.choices}
+    assert reasons["drift"] == "given as an argument"
+    assert "release" in reasons["input delay"]
+
+
 def test_a_decay_is_never_worse_than_era_on_the_same_samples():
     truth = random_records("decay", 203, n_records=1)
     result = identified(truth)

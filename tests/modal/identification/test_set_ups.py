@@ -138,6 +138,7 @@ def test_ambient_set_ups_are_scaled_by_their_references(tmp_path):
         assert (np.abs(mode.shape - shape) <= 5 * mode.shape_std + 1e-12).all()  # the largest is 1 to rounding
     (chosen,) = [choice for choice in result.choices if choice.what == "set-ups"]
     assert chosen.value == "2: set-up 1: y1, y0; set-up 2: y1, y2"
+    assert not any("inputs" in choice.reason for choice in result.choices if choice.what == "input delay")
     assert not any("Not every" in text for text in result.warnings)
     assert (
         modal.load(result.save(tmp_path / "result.npz")).modes.system[0].frequency == result.modes.system[0].frequency

@@ -4,6 +4,7 @@ import scipy
 import scipy.signal
 from signals import answer
 
+from modal.quality import inputs
 from modal.quality.channels import drift_findings
 from modal.quality.check import check_quality
 from modal.quality.inputs import copy_findings, excitation_findings, timing_findings
@@ -191,3 +192,22 @@ def struck_points(seed, n_points=8, n=3000):
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_blows_without_high_frequencies_leave_no_output_ahead(seed):
     assert timing_findings(struck_points(seed), [0, 1]) == []
+
+
+@pytest.mark.parametrize(
+    ("lags", "named"),
+    [
+        ([[-11, 0], [0, -14]], []),
+        ([[-11, -3], [0, 0]], [("output_0", "input_0")]),
+        ([[-11, 0], [-5, 0]], [("output_0", "input_0"), ("output_1", "input_0")]),
+        ([[-5, 0, 0], [-5, 0, -14], [0, 0, 0]], [("output_0", "input_0"), ("output_1", "input_2")]),
+        ([[-5, 0, 0], [-5, 0, 0], [0, 0, -14]], [("output_0", "input_0"), ("output_1", "input_0")]),
+    ],
+)
+def test_pairs_ahead_that_share_no_channel_are_chance(monkeypatch, lags, named):
+    n = len(lags)
+    values = np.random.default_rng(6).standard_normal((500, 2 * n))
+    of_outputs = np.array(lags, dtype=float)
+    monkeypatch.setattr(inputs, "_lags", lambda parts, group: of_outputs[group].min(axis=0))
+    found = timing_findings([Record(values[:, :n], values[:, n:], 0.01)], range(n))
+    assert [finding.channels for finding in found] == named

@@ -31,6 +31,25 @@ def test_what_was_not_looked_at_is_said(n_samples, is_said):
     assert ("no coherence" in {finding.what for finding in quality.findings}) is is_said
 
 
+@pytest.mark.parametrize(
+    ("absent", "why"),
+    [
+        ([(), ()], "the records are too short"),
+        ([(), (1,)], "1 set-up of 2 measured every output, too briefly"),
+        ([(0,), (1,)], "no set-up measured every output"),
+    ],
+)
+def test_why_there_is_no_coherence_is_true(absent, why):
+    whole = record_of(60)
+    records = []
+    for outputs in absent:
+        values = whole.outputs.copy()
+        values[:, list(outputs)] = np.nan
+        records.append(Record(whole.inputs, values, 0.1))
+    (finding,) = (f for f in length_findings(records, has_coherence=False) if f.what == "no coherence")
+    assert finding.sentence.startswith(why)
+
+
 def test_three_samples_are_not_called_good():
     assert check_quality(record_of(3)).level == "bad"
     assert check_quality(Record([], [0.0, 1.0, 0.5], 0.1)).level == "bad"

@@ -160,3 +160,16 @@ def test_a_star_in_a_name_is_that_name_first(write):
     assert read_records(path, inputs="u*")[0].output_names == ("u1", "y")
     with pytest.raises(InvalidDataError, match="no channel 'force\\*'"):
         read_records(path, inputs="force*")
+
+
+def test_patterns_give_no_channel_twice(write):
+    path = write("a.csv", "force p1,force p2,y,z")
+    for inputs in ("force*", ["force*", "force p1"], ["force p1", "force*"], ["force*", "*p?"]):
+        (record,) = read_records(path, inputs=inputs, outputs="*")
+        assert (record.input_names, record.output_names) == (("force p1", "force p2"), ("y", "z"))
+    with pytest.raises(InvalidDataError, match="named more than once"):
+        read_records(path, inputs=["force p1", "force p1"])
+    with pytest.raises(InvalidDataError, match="cannot be both"):
+        read_records(path, inputs="force*", outputs=["force p1", "y"])
+    with pytest.raises(InvalidDataError, match="all of them are inputs"):
+        read_records(path, inputs="*", outputs="*")

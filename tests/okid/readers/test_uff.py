@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import pyuff
 
-from okid.errors import IdentificationWarning, UnreadableFileError
-from okid.readers import describe_file, read_record, read_records
+from okid.errors import IdentificationWarning, InvalidDataError, UnreadableFileError
+from okid.readers import describe_file, read_described, read_record, read_records
 from okid.readers.response import read_response
 
 RNG = np.random.default_rng(10)
@@ -69,6 +69,7 @@ def hand_written(
     name="NONE",
     label="Acceleration",
     unit="m/s2",
+    quantity=12,
     stated=(),
     n_stated=None,
     behind=b"",
@@ -85,7 +86,7 @@ def hand_written(
         f"{1:5d}{0:10d}{0:5d}{0:10d} {name:<10s}{node:10d}{3:4d} {'NONE':<10s}{0:10d}{0:4d}",
         f"{4 if double else 2:10d}{n_stated:10d}{1:10d}{2.0:13.5E}{0.125:13.5E}{0.0:13.5E}",
         f"{17:10d}{0:5d}{0:5d}{0:5d} {'Time':<20s} {'s':<20s}",
-        f"{12:10d}{0:5d}{0:5d}{0:5d} {label:<20s} {unit:<20s}",
+        f"{quantity:10d}{0:5d}{0:5d}{0:5d} {label:<20s} {unit:<20s}",
         *[f"{0:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20s} {'NONE':<20s}"] * 2,
     ]
     return "".join(f"{line}\r\n" for line in lines).encode() + data + behind + b"\r\n    -1\r\n"
@@ -289,3 +290,73 @@ def test_a_file_of_the_force_and_a_file_of_the_answers_are_one_record(tmp_path):
     force = write(tmp_path / "force.uff", values=TIPS[:, 2:], ordinate_spec_data_type=13, ordinate_axis_units_lab="N")
     (record,) = read_records([answers, force])
     assert (record.input_names, record.output_names) == (("force 11X+",), ("11X+", "12Z-"))
+
+
+def force(values, **options):
+    return hand_written(values, **{"unit": "N", "label": "Force", "quantity": 13} | options)
+
+
+def test_a_file_of_several_hits_states_no_inputs(tmp_path):
+    """Force and answer of two hits: each answer is none to the other force."""
+    path = tmp_path / "a.uff"
+    path.write_bytes((force(TIPS[:, 0]) + hand_written(TIPS[:, 1], node=2)) * 2)
+    with pytest.warns(IdentificationWarning, match="several hits.* one file for each hit, or name the inputs"):
+        assert read_record(path).input_names == ()
+    assert "holds force at 1Z+ 2 times" in str(describe_file(path))
+    assert read_record(path, inputs=["1Z+_0"], outputs=["2Z+_1"]).input_names == ("1Z+_0",)
+    nowhere = {"node": 0, "name": "NONE"}
+    path.write_bytes((force(TIPS[:, 0], **nowhere) + hand_written(TIPS[:, 1], **nowhere)) * 2)
+    with pytest.warns(IdentificationWarning, match="several hits"):
+        assert read_record(path).input_names == ()
+
+
+def test_sensors_that_nobody_named_are_not_several_hits(tmp_path):
+    path = tmp_path / "a.uff"
+    path.write_bytes(force(TIPS[:, 0], node=0) + hand_written(TIPS[:, 1], node=0) + hand_written(TIPS[:, 2], node=0))
+    assert read_record(path).input_names == ("channel_0",)
+    path.write_bytes(force(TIPS[:, 0]) + hand_written(TIPS[:, 1]) + hand_written(TIPS[:, 2], quantity=11, label="Vel"))
+    assert read_record(path).input_names == ("1Z+ Force",)
+
+
+def test_a_force_in_a_unit_of_motion_is_no_input(tmp_path):
+    path = tmp_path / "a.uff"
+    path.write_bytes(force(TIPS[:, 0]) + hand_written(TIPS[:, 1], node=2, quantity=13, unit="m/s^2"))
+    with pytest.warns(
+        IdentificationWarning, match=r"2Z\+ is stated as a force but in m/s\^2, .* not taken as an input"
+    ):
+        record = read_record(path)
+    assert (record.input_names, record.output_names) == (("force 1Z+",), ("2Z+",))
+    path.write_bytes(force(TIPS[:, 0], unit="lbf") + force(TIPS[:, 1], node=2, unit="mV") + hand_written(TIPS[:, 2]))
+    assert read_record(path).input_names == ("force 1Z+", "force 2Z+")
+
+
+def test_blows_whose_files_call_one_sensor_differently_are_not_joined(tmp_path):
+    """Two quantities at the place of the first blow: its file names the quantity, the other need not."""
+    first, second = tmp_path / "a.uff", tmp_path / "b.uff"
+    first.write_bytes(force(TIPS[:, 0]) + hand_written(TIPS[:, 1]) + hand_written(TIPS[:, 2], quantity=11, label="Vel"))
+    second.write_bytes(force(TIPS[:, 0], node=2) + hand_written(TIPS[:, 1]))
+    words = r"both hold acceleration at 1Z\+, under the names '1Z\+ Acceleration' and '1Z\+'.* same quantities"
+    with pytest.raises(InvalidDataError, match=words):
+        read_records([first, second])
+    second.write_bytes(hand_written(TIPS[:, 1], node=2))
+    (record,) = read_records([first, second])  # nothing was measured twice
+    assert record.n_outputs == 3
+
+
+def test_stated_forces_that_naming_the_outputs_drops_are_remarked(tmp_path):
+    path = tmp_path / "a.uff"
+    path.write_bytes(force(TIPS[:, 0]) + hand_written(TIPS[:, 1], node=2))
+    (record,), (described,) = read_described(path, outputs="2Z+")
+    assert record.n_inputs == 0
+    assert "states force 1Z+ as inputs, and only outputs were named" in str(described)
+    for names in ({}, {"outputs": "*"}, {"inputs": "force*", "outputs": "2Z+"}):
+        assert not read_described(path, **names)[1][0].remarks
+    assert read_record(path, outputs="*").output_names == ("force 1Z+", "2Z+")
+
+
+def test_a_file_of_forces_alone_says_the_way_out(tmp_path):
+    path = tmp_path / "a.uff"
+    path.write_bytes(force(TIPS[:, 0]))
+    with pytest.raises(InvalidDataError, match=r'outputs="\*", --outputs "\*"'):
+        read_record(path)
+    assert read_record(path, outputs="*").output_names == ("force 1Z+",)
