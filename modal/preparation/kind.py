@@ -319,7 +319,7 @@ def rings_on(outputs: FloatArray) -> bool | None:
     third, span = n_rows // 3, n_rows // 6
     n_lags = min(span, max(2, min(MOST_COLUMNS, n_rows // 12) // max(1, n_outputs)))
     starts = np.unique(np.linspace(span, third - 1, MOST_STARTS).astype(int)) if span else np.zeros(0, dtype=int)
-    if n_outputs == 0 or starts.size < 2 * n_lags * n_outputs:
+    if not span or n_outputs == 0 or starts.size < 2 * n_lags * n_outputs:
         return None
     spread = np.unique((span * (GOLDEN * np.arange(n_lags) % 1.0)).astype(int))  # of no period; 0 is the first
 

@@ -278,6 +278,9 @@ def test_what_the_data_cannot_carry_is_told(small):
         identify(record, order=1000)
     with pytest.raises(InsufficientDataError, match="needs at least 40 samples in one record"):
         identify(record.samples(0, 30))
+    for n_samples in (2, 3, 5, 6, 39):  # without inputs, a handful of samples is asked first whether it rings on
+        with pytest.raises(InsufficientDataError, match=f"at least 40 samples .* the longest has {n_samples}:"):
+            identify(Record(np.zeros((n_samples, 0)), record.samples(0, n_samples).outputs, record.dt))
     with pytest.raises(InvalidDataError, match=r"one okid\.Record or a sequence"):
         identify([])
     with pytest.raises(InvalidDataError, match="same output names"):
