@@ -35,7 +35,6 @@ from modal.estimation.cross_validation import (
 from modal.estimation.free_run import begins_at_rest, filled
 from modal.estimation.modal_parameters import (
     Proposal,
-    errors_of,
     in_units,
     nothing_yet,
     starting_parameters,
@@ -45,7 +44,6 @@ from modal.estimation.modal_states import Block, blocks_by_turns, blocks_of, sig
 from modal.estimation.output_error import (
     GROWS_AFTER,
     GROWS_ON,
-    ROUND_OFF,
     SMALLEST_GAIN,
     OutputError,
     RefinementStep,
@@ -53,11 +51,11 @@ from modal.estimation.output_error import (
     step_at,
     without_what_moves_between_samples,
 )
-from modal.estimation.prediction_error import NOISE_FREE, SMALLEST_NOISE
+from modal.estimation.prediction_error import NOISE_FREE
+from modal.estimation.weights import UNTIL_STILL, weighted, whiteness_ratio
 from modal.identification.order_search import Search, as_good, significantly_worse
 from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
-from okid.residuals import WHITENESS_LAGS, centred, whiteness, whiteness_of_each
 from okid.scaling import ChannelScaling, channel_scaling
 
 MOST_STEPS = 8
@@ -352,8 +350,6 @@ def _estimation_share(ground: Ground, order: int) -> float:
     return (order * (n_inputs + n_outputs) + n_inputs * n_outputs) / max(1.0, values)
 
 
-UNTIL_STILL = 30
-"""Steps of a refinement that may run until it stands still."""
 N_BLOCKS = 40
 """Blocks of rows whose sums are kept apart, for a covariance that holds for noise of any colour."""
 PARTS_A_POLE = 4
@@ -361,8 +357,6 @@ PARTS_A_POLE = 4
 that remembers as long as the mode does, more of them say better how large it is."""
 WHITE = 1.3
 """Whiteness statistic over its degrees of freedom up to which what is left counts as white noise."""
-WEIGHTINGS = 4
-"""Rounds in which outputs' weights and the model settle."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -467,7 +461,7 @@ def refined_model(
             last, data = other, between
     ratio, record_scale = whiteness_ratio(last, data), np.ones(len(records))
     if n_steps == MOST_STEPS and (start.n_outputs > 1 or len(records) > 1):
-        likeliest, alike, own, size = _weighted(last, data, least_gain)
+        likeliest, alike, own, size = weighted(last, data, least_gain)
         own_ratio = whiteness_ratio(likeliest, alike)
         if own_ratio <= WHITE or by == "rows":
             last, data, weights, ratio, record_scale = likeliest, alike, own, own_ratio, size
@@ -523,77 +517,3 @@ def _blocks_of_answers(step: RefinementStep, data: OutputError) -> tuple[Block, 
         edges = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(one)]
         blocks += [Block(record=index, first=first, last=last, label=-1) for first, last in pairwise(edges)]
     return tuple(blocks)
-
-
-def _weighted(
-    step: RefinementStep, data: OutputError, least_gain: float
-) -> tuple[RefinementStep, OutputError, FloatArray, FloatArray]:
-    """Refined with each output and each record weighted by its own noise, settled in a few rounds.
-
-    An unweighted fit spreads the error of a noisy output over the quiet ones, where it looks like coloured noise, so
-    the weights come before the test for whiteness. A whole record in other units has the same model, so a record
-    counts by its own noise where all its channels are divided by that.
-
-    Returns:
-        The model, the data it is fitted to, the weights of the outputs, and (n_records,) what divides each record.
-    """
-    weights, whole = np.eye(step.layout.n_outputs), np.ones(len(data.records))
-    for _ in range(WEIGHTINGS):
-        if step.linear.squared_errors.max() == 0.0:
-            break
-        if len(data.records) > 1:
-            step, data, size = _alike(step, data)
-            whole = whole * size
-        counts = np.sum([there.sum(axis=0) for there in data.counted], axis=0)
-        variance = step.linear.squared_errors / np.maximum(counts, 1)
-        largest = variance.max()
-        weights = np.diag(largest / np.maximum(variance, SMALLEST_NOISE**2 * largest))
-        step = refine(step, data, n_steps=UNTIL_STILL, least_gain=least_gain, weights=weights)[-1]
-    return step, data, weights, whole
-
-
-def _alike(step: RefinementStep, data: OutputError) -> tuple[RefinementStep, OutputError, FloatArray]:
-    """Records divided by their own noise, as far as all outputs have more or less of it together.
-
-    The level and the state that a record starts from take away as many numbers of what is left of it: in their place
-    stands the noise of all, which after some rounds is as good as its own; few rows are no measure of their noise.
-    """
-    squares = np.array([np.nansum(error**2, axis=0) for error in errors_of(step, data)])
-    counted = np.array([there.sum(axis=0) for there in data.counted])
-    rows = np.maximum(1, counted)
-    parameters = step.parameters
-    moves = parameters.states.any(axis=1) * (1 + parameters.is_pair).sum() / squares.shape[1]
-    taken = np.minimum(rows, 1.0 + moves[:, np.newaxis])
-    left = (squares + taken * squares.sum(axis=0) / np.maximum(1.0, (rows - taken).sum(axis=0))) / rows
-    of_each = np.log(np.maximum(left, SMALLEST_NOISE**2 * left.max()))
-    beyond = np.where(counted > 0, of_each - _of_outputs(of_each, counted > 0), np.nan)
-    noise = np.exp(0.5 * np.nanmedian(beyond, axis=1))
-    size = noise / np.exp(np.log(noise).mean())
-    records = tuple(
-        replace(record, inputs=record.inputs / own, outputs=record.outputs / own)
-        for record, own in zip(data.records, size, strict=True)
-    )
-    states = step.parameters.states / size[:, np.newaxis]
-    data = replace(data, records=records)
-    return step_at(replace(step.parameters, states=states), data), data, size
-
-
-def _of_outputs(values: FloatArray, there: BoolArray) -> FloatArray:
-    """(n_outputs,) of the least-squares sum of a number a record and one an output, where outputs were measured.
-
-    A record that lacks an output is compared with others by those that both have: what only loud ones measured is
-    neither as loud nor as quiet for it.
-    """
-    share = there / there.sum(axis=1, keepdims=True)
-    normal = np.diag(there.sum(axis=0)) - there.T @ share
-    known = np.where(there, values, 0.0)
-    wanted = known.sum(axis=0) - share.T @ known.sum(axis=1)
-    return np.asarray(np.linalg.lstsq(normal, wanted, rcond=ROUND_OFF)[0])
-
-
-def whiteness_ratio(step: RefinementStep, data: OutputError) -> float:
-    """Of what the free run leaves of all rows; nan where it leaves nothing."""
-    errors = errors_of(step, data)
-    if data.measured:
-        return whiteness_of_each(errors, n_lags=WHITENESS_LAGS)
-    return whiteness(centred(errors), n_lags=WHITENESS_LAGS, n_fitted=0).ratio

@@ -17,6 +17,7 @@ from modal.estimation.fits import fit_of, model_runs
 from modal.estimation.modal_parameters import in_units, starting_parameters
 from modal.estimation.output_error import OutputError, RefinementStep, refine
 from modal.estimation.prediction_error import NOISE_FREE
+from modal.estimation.weights import whiteness_ratio
 from modal.estimation.whitening import all_filtered, common_filter, stretches
 from modal.identification.final_model import FinalModel, keeps_promise, largest_model, with_noise, with_observer
 from modal.identification.order_search import Search
@@ -26,7 +27,6 @@ from modal.identification.refined_search import (
     growing,
     output_error_data,
     refined_model,
-    whiteness_ratio,
 )
 from okid.arrays import BoolArray, FloatArray
 from okid.errors import IdentificationError
