@@ -189,7 +189,8 @@ def acting_rows(records: Sequence[Record]) -> list[BoolArray]:
     for j in range(records[0].n_inputs):
         each = [np.nan_to_num(np.square(one.inputs[:, j] - np.nanmedian(one.inputs[:, j]))) for one in records]
         squares = np.concatenate(each)
-        chance = scipy.special.chdtri(1.0, 1e-3 / squares.size) * float(np.median(squares)) / NORMAL_MEDIAN
+        moved = np.concatenate([own for own in each if own.any()] or [np.zeros(1)])  # not of blows elsewhere
+        chance = scipy.special.chdtri(1.0, 1e-3 / squares.size) * float(np.median(moved)) / NORMAL_MEDIAN
         level = max(chance, 1e-4 * float(squares.max()))
         for columns, own in zip(found, each, strict=True):
             columns.append(own > level)
@@ -203,10 +204,10 @@ def _active_share(columns: Sequence[FloatArray]) -> float:
     """Share of the rows that hold most of an input's power above what it has at rest; 1 where rest is not seen.
 
     Rows between two of them count too where they are few: a force that swings passes through zero without a rest. A row
-    without a number tells neither rest nor motion.
+    without a number tells neither rest nor motion, nor does a record in which another input strikes.
     """
     measured = [values[np.isfinite(values)] for values in columns]
-    each = [np.square(values - np.median(values)) for values in measured if values.size]
+    each = [np.square(values - np.median(values)) for values in measured if values.size and np.ptp(values) > 0.0]
     if not each:
         return 1.0
     squares = np.sort(np.concatenate(each))[::-1]

@@ -141,7 +141,8 @@ def with_rest(records: Sequence[Record]) -> Rested:
     n_channels = records[0].n_inputs + records[0].n_outputs
     n_samples = sum(record.n_samples for record in records)
     length = max(1, min(LONGEST, n_samples // (3 * n_channels), 1600 // n_channels))
-    resting = [_rests(record, first) for record, first in zip(centred, starts, strict=True)]
+    begun = [int(rows.any(axis=1).argmax()) or first for rows, first in zip(_above_rest(centred), starts, strict=True)]
+    resting = [_rests(record, first) for record, first in zip(centred, begun, strict=True)]
     padded = tuple(_padded(record, length) if rests else record for record, rests in zip(centred, resting, strict=True))
     whole = padded
     before = min(row for row, _ in acts(padded))
@@ -170,8 +171,8 @@ def _without_noise_of_rest(records: tuple[Record, ...]) -> tuple[tuple[Record, .
     its bursts goes on holding the structure, though, and that force is real: it explains more.
     """
     window = tuple(
-        replace(record, inputs=np.where(_widened(acting), record.inputs, 0.0))
-        for record, acting in zip(records, acting_rows(records), strict=True)
+        replace(record, inputs=np.where(acting, record.inputs, 0.0))
+        for record, acting in zip(records, _above_rest(records), strict=True)
     )
     share = sum(
         int((own.inputs != record.inputs).any(axis=1).sum()) for own, record in zip(window, records, strict=True)
@@ -187,24 +188,48 @@ def _without_noise_of_rest(records: tuple[Record, ...]) -> tuple[tuple[Record, .
     return window, (Choice(what="force window", value="used", reason=words),)
 
 
+def _above_rest(records: Sequence[Record]) -> list[BoolArray]:
+    """(n_samples, n_inputs) a record: blows, and all around them that stands above what the input shows far from them.
+
+    A hundredth of a blow may be a hundred times the noise of its sensor: a filter rings on, and what it rings is force.
+    """
+    found = [_widened(acting) for acting in acting_rows(records)]
+    squares = [np.square(np.nan_to_num(record.inputs)) for record in records]
+    beyond = scipy.special.chdtri(1.0, CHANCE / sum(map(len, squares)))
+    while True:
+        n_rest = np.maximum(1, np.sum([(~own).sum(axis=0) for own in found], axis=0))
+        noise = np.sum([np.where(own, 0.0, each).sum(axis=0) for own, each in zip(found, squares, strict=True)], axis=0)
+        wider = [own | (each > beyond * noise / n_rest) for own, each in zip(found, squares, strict=True)]
+        if all((own == before).all() for own, before in zip(wider, found, strict=True)):
+            return found
+        found = wider
+
+
 def _rings_before(records: Sequence[Record]) -> bool:
     """Whether inputs move more shortly before a blow than far from all: a filter that looks ahead rings there.
 
-    The ratio of their powers, of inputs whose noise is white, is F-distributed.
+    The ratio of their powers, each record's over that far from its blows, is F-distributed where the noise is white.
     """
-    near, far = [], []
+    near: list[FloatArray] = []
+    far: list[FloatArray] = []
     for record, acting in zip(records, acting_rows(records), strict=True):
         for values, own, wide in zip(record.inputs.T, acting.T, _widened(acting).T, strict=True):
             blows = runs_of(wide) if own.any() else []
             close = np.zeros(len(own), dtype=np.bool_)
+            shortly, before = np.zeros_like(close), -2 * MOST_LEAD
             for first, last in blows:
-                shortly = slice(max(0, first - MOST_LEAD), first)
-                near.append(values[shortly][~wide[shortly]])
+                if first >= before + 2 * MOST_LEAD:  # else what came before rings still
+                    shortly[max(0, first - MOST_LEAD) : first] = True
                 close[max(0, first - MOST_LEAD) : last + MOST_LEAD] = True
-            far.append(values[~close])
+                before = last
+            own_noise = (
+                float(np.sqrt(np.nanmean(np.square(values[~close])))) if np.isfinite(values[~close]).any() else 0
+            )
+            near.append(values[shortly] / (own_noise or 1.0))
+            far.append(values[~close] / (own_noise or 1.0))
     powers, counts = [], []
     for rows in (near, far):
-        values = np.nan_to_num(np.concatenate(rows) if rows else np.zeros(0))
+        values = np.concatenate(rows) if rows else np.zeros(0)
         powers.append(float(np.square(values).sum()))
         counts.append(int(np.count_nonzero(values)))  # neither a gap nor rest put in front tells anything
     if not all(counts):

@@ -37,6 +37,18 @@ def test_blows_under_noise(count, noise):
     assert found.choice.what == "record kind"
 
 
+def test_records_in_which_another_input_strikes_tell_nothing_of_its_noise():
+    """The input of a point that is not struck is zero: half of all its samples at rest are no noise of a sensor."""
+    rng = np.random.default_rng(4)
+    records = []
+    for point in range(3):
+        force = np.zeros((1500, 3))
+        force[:, point] = 0.01 * rng.standard_normal(1500)
+        force[100:104, point] += [0.4, 1.0, 0.8, 0.2]
+        records.append(Record(force, rng.standard_normal((1500, 2)), 0.01))
+    assert find_kind(records).kind == "transient"
+
+
 @pytest.mark.parametrize("draw", ["standard_normal", "laplace", "standard_t", "uniform"])
 def test_heavy_tails_are_no_blows(draw):
     rng = np.random.default_rng(3)
