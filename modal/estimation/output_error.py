@@ -56,6 +56,7 @@ class OutputError:
         n_direct: the first so many inputs act on the outputs at once; None for all of them.
         measured: (n_samples, n_outputs) a record, False where an output was not measured in a row that counts; none
             where there is no such row. Weights between outputs that are not measured together count for nothing.
+        elsewhere: squared weight of samples that are not `measured`: 0 where nobody measured them.
 
     An input that stands still throughout a record and moves in another makes a level and a start, which each record has
     of its own, so it is set to zero there.
@@ -66,6 +67,7 @@ class OutputError:
     blocks: tuple[Block, ...]
     n_direct: int | None = None
     measured: tuple[BoolArray, ...] = ()
+    elsewhere: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "records", moving_inputs(self.records))
@@ -260,8 +262,10 @@ def step_at(
         parameters, data.records, choices, data.blocks, n_direct=n_direct, held_out=held_out
     )
     if data.measured:
+        shares = [(1.0, data.elsewhere - 1.0) if less else (data.elsewhere, 1.0 - data.elsewhere) for less in fewer]
         found = [
-            (every[0] - one[0], every[1] - one[1]) if less else one for one, less in zip(found, fewer, strict=True)
+            (of_all * every[0] + own * one[0], of_all * every[1] + own * one[1])
+            for one, (of_all, own) in zip(found, shares, strict=True)
         ]
     sums = [
         Sums(outputs=outputs, gram=gram, inverse_factor=_inverse_factor(gram[phi, phi]), parts=parts)

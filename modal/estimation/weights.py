@@ -12,20 +12,27 @@ References:
     Green, Journal of the Royal Statistical Society B 46(2), 1984, 149-192 (iteratively reweighted least squares).
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 
 from modal.estimation.modal_parameters import errors_of
 from modal.estimation.output_error import ROUND_OFF, OutputError, RefinementStep, refine, step_at
 from modal.estimation.prediction_error import SMALLEST_NOISE
-from okid.arrays import BoolArray, FloatArray
+from okid.arrays import TINY, BoolArray, FloatArray
 from okid.residuals import WHITENESS_LAGS, centred, whiteness, whiteness_of_each
+from okid.rows import runs_of
 
 UNTIL_STILL = 30
 """Steps of a refinement that may run until it stands still."""
 WEIGHTINGS = 4
 """Rounds in which outputs' weights and the model settle."""
+AFTER = 3
+"""Compare what is left while a blow acts with so many times as many rows after it: what is not linear goes on there."""
+BESIDE = 2
+"""Ask so many rows more on either side of a blow at a time."""
 
 
 def weighted(
@@ -53,6 +60,69 @@ def weighted(
         weights = np.diag(largest / np.maximum(variance, SMALLEST_NOISE**2 * largest))
         step = refine(step, data, n_steps=UNTIL_STILL, least_gain=least_gain, weights=weights)[-1]
     return step, data, weights, whole
+
+
+def struck_apart(
+    step: RefinementStep, data: OutputError, acting: Sequence[BoolArray], least_gain: float
+) -> tuple[RefinementStep, OutputError]:
+    """Refined with the rows in which a blow acts weighed by what is left there, where that ends with the blow.
+
+    Then they count as not measured, and with so little weight that they tell only what no other row does: feedthrough.
+
+    Args:
+        step: the model.
+        data: that it is fitted to, all of it measured.
+        acting: (n_samples,) a record, True where a blow acts.
+        least_gain: relative decrease of the error by a step below which it is the last.
+    """
+    apart, loud = data, list(acting)
+    for _ in range(WEIGHTINGS):
+        errors = errors_of(step, data)
+        loud = _grown(errors, loud)
+        quiet = [~rows for rows in loud]
+        if not any(rows.any() for rows in loud) or (apart is data and not _louder(errors, loud, loud)):
+            break
+        sizes = [_size(errors, rows)[1] for rows in (quiet, loud)]
+        measured = tuple(np.tile(rows[:, np.newaxis], errors[0].shape[1]) for rows in quiet)
+        apart = replace(data, measured=measured, elsewhere=min(1.0, float(np.exp(np.log(sizes[0] / sizes[1]).mean()))))
+        step = refine(step_at(step.parameters, apart), apart, n_steps=UNTIL_STILL, least_gain=least_gain)[-1]
+    return step, apart
+
+
+def _grown(errors: Sequence[FloatArray], loud: Sequence[BoolArray]) -> list[BoolArray]:
+    """The rows, and those beside them that are as much louder than what follows: samples of a filter ring on."""
+    rows = list(loud)
+    while True:
+        wider = [binary_dilation(own, iterations=BESIDE) for own in rows]
+        rings = [there & ~own for there, own in zip(wider, rows, strict=True)]
+        if not _louder(errors, rings, wider):
+            return rows
+        rows = wider
+
+
+def _louder(errors: Sequence[FloatArray], rows: Sequence[BoolArray], within: Sequence[BoolArray]) -> bool:
+    """Whether noise of another, larger size there is likelier than of one size there and in what follows (Schwarz)."""
+    (n, own), (n_after, after) = _size(errors, rows), _size(errors, [_after(there) for there in within])
+    if min(n, n_after) <= own.size:
+        return False
+    pooled = (n * own + n_after * after) / (n + n_after)
+    gain = (n + n_after) * np.log(pooled) - n * np.log(own) - n_after * np.log(after)
+    return bool(gain.mean() > np.log(n + n_after) and np.log(own / after).mean() > 0.0)
+
+
+def _after(loud: BoolArray) -> BoolArray:
+    """(n_samples,) the rows that follow each run, `AFTER` times as many as it holds, and are in none."""
+    there = np.zeros_like(loud)
+    for first, last in runs_of(loud):
+        there[last : last + AFTER * (last - first)] = True
+    return np.asarray(there & ~loud)
+
+
+def _size(errors: Sequence[FloatArray], rows: Sequence[BoolArray]) -> tuple[int, FloatArray]:
+    """Number of these rows, and (n_outputs,) mean squares of the errors there."""
+    chosen = np.vstack([error[there] for error, there in zip(errors, rows, strict=True)])
+    n = int(np.isfinite(chosen).all(axis=1).sum())
+    return n, np.nansum(np.square(chosen), axis=0) / max(1, n) + TINY
 
 
 def _alike(step: RefinementStep, data: OutputError) -> tuple[RefinementStep, OutputError, FloatArray]:

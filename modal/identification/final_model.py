@@ -39,6 +39,7 @@ from modal.identification.refined_search import (
 from modal.modes.extraction import extract_modes
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel, Uncertainty
+from modal.preparation.kind import acting_rows
 from modal.verdict.repeatability import ORDER_SHARES
 from okid.arrays import BoolArray, FloatArray
 from okid.errors import InsufficientDataError, NumericalError, quiet
@@ -89,6 +90,11 @@ class FinalModel:
     def leaves_white_noise(self) -> bool:
         """Whether white noise on the outputs is all there is."""
         return self.noise is None and self.refined is not None and self.refined.leaves_white_noise
+
+    @property
+    def quiet(self) -> tuple[BoolArray, ...]:
+        """(n_samples, n_outputs) a record, False where filled or while a blow errs by itself; none where all counts."""
+        return () if self.refined is None else self.refined.data.measured
 
     @property
     def leaves_nearly_white(self) -> bool:
@@ -252,6 +258,7 @@ def _refined(
         n_rest=n_rest,
         by=by,
         measured=measured,
+        acting=[np.asarray(rows.any(axis=1)) for rows in acting_rows(records)] if by == "rows" else (),
     )
     return fitted if refined is None else replace(fitted, refined=refined, realisation=refined.realisation)
 
@@ -275,6 +282,7 @@ def with_noise(
     """The model with its gain, and with a model of its noise where that is likelier."""
     # the gain that came with the observer is not that of the model cut from it, and may make it unstable
     driven = model if refined is None else refined.realisation
+    records = records if refined is None else refined.as_fitted(records)
     gain = estimate_gain(driven, records) if model.n_inputs else None
     base = model if gain is None else replace(driven, K=gain.gain)
     harmless = feedback and refined is not None and not _biased(refined)
@@ -285,6 +293,8 @@ def with_noise(
     if measured and (made.leaves_nearly_white or lack_outputs(measured)):
         colour = "nearly white" if made.leaves_nearly_white else "told"
         return replace(made, why=f"{colour} where it was measured, and samples that were filled hold none")
+    if made.leaves_nearly_white and refined is not None and refined.data.measured:
+        return replace(made, why="nearly white where no blow acts, and of another size while one does")
     evidence = base if base.factors is not None else model
     noise, why = noise_model(
         records,

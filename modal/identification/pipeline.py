@@ -60,7 +60,7 @@ from modal.preparation.steps import Preparation, prepare
 from modal.verdict.constancy import unsteady_drive, with_changes
 from modal.verdict.envelope import told_of_lines_beside, told_of_steady_lines
 from modal.verdict.excitation import between_lines, beyond_inputs, by_chance, driven_gain, ringing
-from modal.verdict.filled import filled_words, told_where_measured
+from modal.verdict.filled import filled_words, seen_alone, told_where_measured
 from modal.verdict.judgement import Answer, judge
 from modal.verdict.linearity import Powers, powers_of_motion
 from modal.verdict.peak import standing_out
@@ -414,16 +414,16 @@ def _identified(
     )
     fitted = final.refined is not None or final.noise is not None
     modes = told_where_measured(modes, prepared, left, preparation.measured, is_driven=is_driven, is_fitted=fitted)
-    left_seen = [np.where(there, one, np.nan) for one, there in zip(left, preparation.measured, strict=True)]
+    apart = () if preparation.measured_if_filled else final.quiet  # rows of blows: linear, but in no sample of theirs
+    left_seen = [np.where(there, one, np.nan) for one, there in zip(left, apart or preparation.measured, strict=True)]
     asked_of_kind = told_of_steady_lines(modes, as_mended) if kind.kind == "ambient" else Answer(modes=modes)
     if is_driven and modes.modes and prepared[0].n_inputs:
         rest = [one.outputs - simulate(model, one, initial_state=np.zeros(model.order)).outputs for one in prepared]
         asked_of_kind = told_of_lines_beside(modes, prepared, rest)
     if kind.kind in ("transient", "decay"):  # a sample that was filled by a linear model tells nothing of another
-        seen = [np.where(there, one.outputs, np.nan) for one, there in zip(prepared, preparation.measured, strict=True)]
         asked_of_kind = told_of_ring_down(
             modes,
-            [replace(one, outputs=y) for one, y in zip(prepared, seen, strict=True)],
+            seen_alone(prepared, preparation.measured),
             left,
             output_scale=reruns.output_scale,
             is_decay=kind.kind == "decay",
@@ -432,9 +432,11 @@ def _identified(
     modes, uncertainty, varying = with_changes(
         modes, uncertainty, asked if is_driven else (), left_there, output_scale=reruns.output_scale
     )
-    powers = powers_of_motion(runs.records, runs.predicted) if final.feedback == "none" else Powers()
+    predicted = seen_alone(runs.predicted, apart) if apart else runs.predicted
+    told_of_all = not (apart or preparation.measured_if_filled)
+    powers = powers_of_motion(runs.records, predicted) if final.feedback == "none" else Powers()
     tell("checking residuals", 0.9)
-    refined = final.refined if final.noise is None and white is None else None
+    refined = final.refined if white is None else None
     fitted_to = runs.records if refined is None else refined.as_fitted(prepared)
     residuals, innovations = check_residuals(observer, prepared), _innovations(model, fitted_to)
     result = Identification(
@@ -486,7 +488,7 @@ def _identified(
                 modes=modes,
                 excitation=excitation if by_inputs else None,
                 residuals=innovations if searched.chosen.grew and innovations else residuals,
-                seen=None if not preparation.measured_if_filled else left_seen if final.leaves_nearly_white else (),
+                seen=None if told_of_all else left_seen if final.leaves_nearly_white else (),
                 found=searched,
                 powers=powers,
             ),

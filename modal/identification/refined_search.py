@@ -52,7 +52,7 @@ from modal.estimation.output_error import (
     without_what_moves_between_samples,
 )
 from modal.estimation.prediction_error import NOISE_FREE
-from modal.estimation.weights import UNTIL_STILL, weighted, whiteness_ratio
+from modal.estimation.weights import UNTIL_STILL, struck_apart, weighted, whiteness_ratio
 from modal.identification.order_search import Search, as_good, significantly_worse
 from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
@@ -417,6 +417,7 @@ def refined_model(
     n_rest: int = 0,
     by: Folds = "blocks",
     measured: Sequence[BoolArray] = (),
+    acting: Sequence[BoolArray] = (),
 ) -> RefinedModel | None:
     """Refine a model on all rows of the records; None where it is noise-free, unstable or without a state.
 
@@ -432,6 +433,7 @@ def refined_model(
         n_rest: rows of rest among those of the records, which hold no noise.
         by: "rows" where a few blows drive the records: even blocks hold all of an answer or nothing.
         measured: (n_samples, n_outputs) a record, False where a sample was filled; none where all were measured.
+        acting: (n_samples,) a record, True where one of a few blows acts.
     """
     scaling = channel_scaling(records)
     scaled = tuple(scaled_record(record, scaling) for record in filled(records))
@@ -459,6 +461,8 @@ def refined_model(
         other = refine(step_at(last.parameters, between), between, n_steps=most, least_gain=least_gain)[-1]
         if other.error < last.error:  # else the inputs were held, whatever was said of them
             last, data = other, between
+    if n_steps == MOST_STEPS and acting and not measured:
+        last, data = struck_apart(last, data, acting, least_gain)
     ratio, record_scale = whiteness_ratio(last, data), np.ones(len(records))
     if n_steps == MOST_STEPS and (start.n_outputs > 1 or len(records) > 1):
         likeliest, alike, own, size = weighted(last, data, least_gain)

@@ -35,6 +35,13 @@ OF_FILLED = "no model was fitted to measured samples alone, and errors of what w
 WHY = "most of what shows it was filled, and in the samples that were measured it may be chance"
 
 
+def seen_alone(records: Sequence[Record], measured: Sequence[BoolArray]) -> tuple[Record, ...]:
+    """Without the outputs that were not measured there."""
+    return tuple(
+        replace(one, outputs=np.where(there, one.outputs, np.nan)) for one, there in zip(records, measured, strict=True)
+    )
+
+
 def filled_words(prepared: Preparation, *, of_measured: bool, is_driven: bool) -> tuple[str, ...]:
     """That outputs were filled, where they were, and what that does to modes and deviations."""
     dt = prepared.records[0].dt

@@ -1,6 +1,7 @@
 """The refined model as a state-space model: same pulse responses as its last step, factors kept, units, weights."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -380,3 +381,71 @@ def test_noise_that_a_force_window_leaves_within_the_blow_widens_what_follows_fr
     noisy, *_ = judged_deviations(told_at_rest(model, np.array([[0.04]])), modes, n_lags=1, fed_back=False)
     assert (noisy.mass_std > plain.mass_std).all()
     assert (noisy.frequency_std >= plain.frequency_std).all()
+
+
+def struck(rng, truth, *, loud, n_records=4, n=1500):
+    """Blows of three rows, while which and two rows beyond the outputs err by `loud` beside the noise of sensors."""
+    records, acting = [], []
+    for _ in range(n_records):
+        u = np.zeros((n, truth.n_inputs))
+        first = int(rng.integers(40, 80))
+        u[first : first + 3] = np.outer([0.5, 1.0, 0.4], rng.uniform(0.5, 1.5, truth.n_inputs))
+        y = simulate(truth, u)
+        y += 0.01 * rng.standard_normal(y.shape)
+        y[first - 2 : first + 5] += loud * rng.standard_normal((7, truth.n_outputs))
+        records.append(Record(u, y, truth.dt))
+        acting.append(u.any(axis=1))
+    return records, acting
+
+
+def errors_in_deviations(model, truth):
+    modes = extract_modes(model.realisation).modes
+    known, *_ = judged_deviations(model, modes, n_lags=1, fed_back=False)
+    order = np.argsort([mode.frequency for mode in modes])
+    own = np.array([[modes[k].frequency, modes[k].damping_ratio] for k in order])
+    deviations = np.stack([known.frequency_std, known.damping_ratio_std], axis=1)[order]
+    true = extract_modes(exact(truth)).modes
+    return (own - sorted((mode.frequency, mode.damping_ratio) for mode in true)) / deviations, deviations
+
+
+def test_what_a_blow_does_beyond_its_samples_moves_no_pole():
+    """Errors that end with a blow leave poles to the free motion: as near, and as sure, as without them."""
+    squares, wider, without = [], [], []
+    for seed in range(12):
+        rng, truth = a_system(seed, n_inputs=1)
+        records, acting = struck(rng, truth, loud=2.0)
+        fit = partial(refined_model, records, exact(truth), MOST_STEPS, by="rows")
+        apart, plain = fit(acting=acting), fit()
+        assert 0.0 < apart.data.elsewhere < 1e-3
+        # the rows beside the blow in which it errs as much are found
+        assert all(own.any(axis=1).sum() <= 1500 - 7 for own in apart.data.measured)
+        errors, deviations = errors_in_deviations(apart, truth)
+        squares.append(errors**2)
+        without.append(errors_in_deviations(plain, truth)[1] / deviations)
+        quiet, _ = struck(np.random.default_rng(seed), truth, loud=0.0)
+        wider.append(
+            deviations / errors_in_deviations(refined_model(quiet, exact(truth), MOST_STEPS, by="rows"), truth)[1]
+        )
+        assert apart.leaves_white_noise
+        np.testing.assert_allclose(apart.realisation.D, truth.D, atol=5.0)
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.5)
+    assert np.median(wider) < 1.2
+    assert np.nanmedian(without) > 3.0
+
+
+def test_errors_that_go_on_after_a_blow_are_not_put_apart():
+    rng, truth = a_system(3, n_inputs=1)
+    records, acting = struck(rng, truth, loud=0.0)
+    rung = [np.roll(rows, 3).cumsum() > 0 for rows in acting]
+    records = [
+        replace(
+            one,
+            outputs=one.outputs
+            + 0.5
+            * there[:, np.newaxis]
+            * 0.99 ** there.cumsum()[:, np.newaxis]
+            * rng.standard_normal(one.outputs.shape),
+        )
+        for one, there in zip(records, rung, strict=True)
+    ]
+    assert not refined_model(records, exact(truth), MOST_STEPS, by="rows", acting=acting).data.measured
