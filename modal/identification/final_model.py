@@ -294,7 +294,9 @@ def with_noise(
         colour = "nearly white" if made.leaves_nearly_white else "told"
         return replace(made, why=f"{colour} where it was measured, and samples that were filled hold none")
     if made.leaves_nearly_white and refined is not None and refined.data.measured:
-        return replace(made, why="nearly white where no blow acts, and of another size while one does")
+        times = 1.0 / np.sqrt(refined.data.elsewhere)
+        why = f"nearly white; while a blow acts, which no sample tells whole, errors are {times:.3g} times as large"
+        return replace(made, why=f"{why}, and count by that")
     evidence = base if base.factors is not None else model
     noise, why = noise_model(
         records,

@@ -467,7 +467,7 @@ def _identified(
             *explain_scoring(prepared, _folds(kind)),
             *(() if white is None else explain_filter(white.filter, white.share)),
             *explain_search(searched, wanted=wanted if white is None else searched.chosen),
-            *(() if final.leaves_white_noise else explain_noise(final.noise, final.why)),
+            *(() if final.leaves_white_noise and not apart else explain_noise(final.noise, final.why)),
             *explain_gain(final.gain),
         ),
         fit=fit,
