@@ -9,6 +9,8 @@ from hidden_truth import Absorber, TrueChain, TrueRotor, chain_matrices, chain_p
 
 DT = 0.01
 N = 150
+ASKED = 70
+"""So many of them are compared with a general integrator, which is slow."""
 
 
 def chain(n_dofs=1, *, sensor_kind="displacement", damping=0.4):
@@ -30,8 +32,8 @@ def inputs(rng, n_records=2, *, size=40.0):
     return size * smooth * np.arange(1, n_records + 1)[:, np.newaxis, np.newaxis]
 
 
-def reference(plant, law, u, start, *, hold):
-    """One record by DOP853 at 1e-10, started anew at every sample; z joins the state."""
+def reference(plant, law, u, start, *, hold, n):
+    """The first n samples of a record by DOP853 at 1e-10, started anew at every sample; z joins the state."""
     x, z, states = np.array(start), np.zeros((1, 1, 1)), []
 
     def slope(t, s, before, rise, k):
@@ -41,7 +43,7 @@ def reference(plant, law, u, start, *, hold):
         w = law.force(d, v, memory, t).item()
         return np.append(plant.A @ s[:-1] + plant.B @ now + plant.E[:, 0] * w, law.memory_rate(d, v, memory, t).item())
 
-    for k in range(len(u)):
+    for k in range(n):
         states.append(x)
         rise = (u[min(k + 1, len(u) - 1)] - u[k]) / DT if hold == "linear" else np.zeros(u.shape[1])
         end = scipy.integrate.solve_ivp(
@@ -94,11 +96,11 @@ def test_sharp_laws_against_scipy(effect, values, tolerance, n_dofs):
         plant, [law_from("constant_force", offset=0.0)], u, dt=DT, hold=hold, initial_states=start, n_steps=1
     )
     for r in (0, 1) if n_dofs == 1 else (1,):
-        truth = reference(plant, law.for_record(r), u[r], start[r], hold=hold)
+        truth = reference(plant, law.for_record(r), u[r], start[r], hold=hold, n=ASKED)
         scale = truth.std(axis=0)
-        assert np.all(np.abs(run.states[r] - truth).max(axis=0) < tolerance * scale)
+        assert np.all(np.abs(run.states[r, :ASKED] - truth).max(axis=0) < tolerance * scale)
         # the effect matters here, so that the comparison means something
-        assert np.max(np.abs(linear.states[r] - truth).max(axis=0) / scale) > 0.1
+        assert np.max(np.abs(linear.states[r, :ASKED] - truth).max(axis=0) / scale) > 0.1
 
 
 def test_two_laws_at_two_places_against_scipy():
@@ -129,15 +131,15 @@ def test_free_decay_under_coulomb_friction_loses_4_f_over_k_a_cycle():
     model = chain(damping=0.0)
     plant, _ = chain_plant(model, ["element_0"])
     run = march(
-        plant, [law_from("coulomb_friction", Fc=friction)], np.zeros((1, 4000, 1)), dt=DT / 10, hold="zero_order",
+        plant, [law_from("coulomb_friction", Fc=friction)], np.zeros((1, 1400, 1)), dt=DT / 10, hold="zero_order",
         initial_states=np.array([[0.05, 0.0]]), n_steps=6,
     )  # fmt: skip
     x, v = run.states[0].T
     half_period = np.pi / np.sqrt(k)
     for i in range(1, 11):  # x at the i-th standstill
-        at = np.interp(i * half_period, DT / 10 * np.arange(4000), x)
+        at = np.interp(i * half_period, DT / 10 * np.arange(1400), x)
         assert at == pytest.approx((-1) ** i * (0.05 - 2 * i * friction / k), abs=1e-5)
-    assert np.all(v[3500:] == 0)
+    assert np.all(v[1300:] == 0)
     assert abs(x[-1]) <= friction / k
     assert run.forces[0, -1, 0] == pytest.approx(-k * x[-1], rel=1e-9)  # at rest friction holds the spring, no more
 

@@ -144,6 +144,7 @@ def _case(rng, *, n_dofs, sensors, kind="displacement", effect, where, size, cha
     system = continuous(masses, stiffnesses, dampings, force_dof=force_dof, sensor_dofs=sensors, kind=kind)
     inputs = drives(rng, len(LEVELS))
     clean, believed = change(rng, system, plant, inputs)
+    inputs = inputs[:, : clean.shape[1]]
     variance = (noise * clean.std(axis=1)) ** 2
     noisy = clean + np.sqrt(variance)[:, np.newaxis] * rng.standard_normal(clean.shape)
     return Mistake(
@@ -212,8 +213,8 @@ def sensor_lag(seed):
     return _case(rng, n_dofs=n, sensors=(0, 1), effect="sensor_lag", where="output_1", size=tau, change=change)
 
 
-def stribeck_friction(seed):
-    """Friction that falls from the breakaway force as the mass speeds up."""
+def stribeck_friction(seed, n_samples=N_SAMPLES):
+    """Friction that falls from the breakaway force as the mass speeds up, over the first samples of each drive."""
     rng = np.random.default_rng([5, seed])
     high, low = float(rng.uniform(0.5, 0.8)), float(rng.uniform(0.2, 0.35))
 
@@ -224,7 +225,7 @@ def stribeck_friction(seed):
         def friction(v):
             return low + (high - low) * np.exp(-((v / speed) ** 2))
 
-        return rubbed(system, plant["masses"][0], inputs, plant["dt"], friction), plant["masses"]
+        return rubbed(system, plant["masses"][0], inputs[:, :n_samples], plant["dt"], friction), plant["masses"]
 
     return _case(rng, n_dofs=1, sensors=(0,), effect="stribeck_friction", where="element_0", size=high, change=change)
 
@@ -232,6 +233,6 @@ def stribeck_friction(seed):
 MISTAKES = {one.__name__: one for one in (wrong_mass, record_offset, actuator_lag, sensor_lag, stribeck_friction)}
 
 
-def mistake(kind, seed):
+def mistake(kind, seed, **options):
     """The case of a kind and a seed."""
-    return MISTAKES[kind](seed)
+    return MISTAKES[kind](seed, **options)

@@ -56,13 +56,13 @@ def test_zeros_that_moved_in_the_records_to_fit_alone_are_named():
 
 def test_friction_found_in_two_steps_is_one_law():
     """First dry friction, then the excess beside it: together they are the law that has both."""
-    case = mistake("stribeck_friction", 4101)
+    case = mistake("stribeck_friction", 4101, n_samples=300)
     model = modal.StructuralModel.chain(
         case.masses, case.stiffnesses, case.dampings, force_dofs=[case.force_dof], sensor_dofs=case.sensor_dofs
     )
     model = model.with_effect("coulomb_friction", "element_0", Fc=0.32)
     model = model.with_effect("stribeck_friction", "element_0", Fc=0.0, excess=0.24, stribeck_velocity=0.18)
-    *fits, held_out = (okid.Record(u[:300], y[:300], case.dt) for u, y in case.records)
+    *fits, held_out = (okid.Record(u, y, case.dt) for u, y in case.records)
     setup = prepare_setup(given := given_model(model, fits), fits, (held_out,), CATALOGUE, lambda *_: None)
     drive = setup.task.fit.drive
     start = simulate_at(*placed_assembly(given.plant, given.linear, given.effects, drive, CATALOGUE), setup.task.fit)

@@ -156,10 +156,10 @@ def test_modes_that_the_first_model_holds_are_judged_behind_the_filter():
     outputs = simulate(system, inputs)
     noise = red_noise(rng, outputs.shape)
     record = Record(inputs, outputs + 0.2 * outputs.std(axis=0) * noise / noise.std(axis=0), system.dt)
-    result = pipeline.identify(record)
+    result = pipeline.identify(record, **GIVEN)
     assert found_of(result, frequencies) == list(frequencies)
     assert len(result.modes.system) == 3
-    given = pipeline.identify(record, order=6)
+    given = pipeline.identify(record, order=6, **GIVEN)
     assert given.fitted_model.order == 6
     assert "noise filter" in [choice.what for choice in given.choices]
 

@@ -153,7 +153,7 @@ def test_a_clipped_blow_is_left_out_where_another_was_not_clipped():
     assert "left out" in kind.warnings[0]
 
 
-@pytest.mark.parametrize("spike", [0.0, 3.0])
+@pytest.mark.parametrize("spike", [pytest.param(0.0, marks=pytest.mark.slow), 3.0])
 @pytest.mark.parametrize("force", [True, False])
 def test_what_rings_on_after_clipping_is_a_decay(force, spike):
     record, last = ringing(np.random.default_rng(4), limit=0.5, force=force, n_samples=1500)
@@ -171,7 +171,7 @@ def test_what_rings_on_after_clipping_is_a_decay(force, spike):
 def test_blows_that_nobody_measured_are_no_ambient_motion_where_they_are_clipped():
     """Three blows with rest between them: what limits make of the free motion was found again in every half."""
     rng = np.random.default_rng(4)
-    each = [ringing(rng, size=size, n_samples=1500)[0].outputs for size in (1.0, 0.8, 1.1)]
+    each = [ringing(rng, size=size, n_samples=1200)[0].outputs for size in (1.0, 0.8, 1.1)]
     record = Record([], np.clip(np.concatenate(each), -0.5, 0.5), 0.01)
     assert find_kind([record]).kind == "ambient"
     result = identify(record)
@@ -201,7 +201,7 @@ def test_what_was_not_clipped_stays_the_very_same():
 
 
 def test_a_sensor_that_drifts_makes_no_mode_of_a_decay():
-    record, _ = ringing(np.random.default_rng(6), force=False, n_samples=1500)
+    record, _ = ringing(np.random.default_rng(6), force=False, n_samples=1000)
     settling = 0.4 * (1 - np.exp(-np.linspace(0.0, 4.0, record.n_samples)))[:, np.newaxis] * [1.0, 0.3]
     result = identify(Record([], record.outputs + settling, record.dt))
     assert [mode.kind for mode in result.modes.system] == ["oscillatory", "oscillatory"]

@@ -55,7 +55,7 @@ def asked(seed, *, noise=1e-3, **law):
     return contest.bent
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_a_mode_under_wind_is_not_accused(seed):
     """In white noise two of these three were."""
     assert asked(seed, wind=0.05) is None
@@ -113,14 +113,14 @@ def test_the_predictor_has_the_spectrum_of_modes_in_white_noise(modes, share, sl
     assert max(np.abs(np.roots(one)).max() for one in best) < 1.0
 
 
-def test_an_output_that_falls_silent_takes_no_other_away():
+@pytest.mark.parametrize("last", [201, *(pytest.param(last, marks=pytest.mark.slow) for last in (180, 230))])
+def test_an_output_that_falls_silent_takes_no_other_away(last):
     times = 0.05 * np.arange(400)
     x = np.exp(-0.02 * np.pi * times) * np.cos(2 * np.pi * times + 0.3)
     left = 2e-3 * np.random.default_rng(0).standard_normal((400, 2))
     seen = x[:, np.newaxis] * [1.0, -0.6] + left
-    for last in (180, 201, 230):
-        gone = np.where(np.arange(400)[:, np.newaxis] >= [400, last], np.nan, seen)
-        assert contest_of([okid.Record([], gone, 0.05)], [np.where(np.isnan(gone), np.nan, left)]).bent is None
+    gone = np.where(np.arange(400)[:, np.newaxis] >= [400, last], np.nan, seen)
+    assert contest_of([okid.Record([], gone, 0.05)], [np.where(np.isnan(gone), np.nan, left)]).bent is None
 
 
 def test_the_copy_of_an_output_is_no_other_direction():

@@ -30,7 +30,7 @@ def system_near(result, frequency):
 
 def identified(rng, force, outputs, missing):
     holed = np.where(rng.random(outputs.shape) < missing, np.nan, outputs)
-    return modal.identify(Record(force, holed, DT))
+    return modal.identify(Record(force, holed, DT), **GIVEN)
 
 
 @pytest.mark.parametrize("missing", [0.02, 0.2])
@@ -76,7 +76,7 @@ def test_images_of_a_slow_sensor_are_not_certain_and_the_modes_are():
     outputs = answers(force, (4.6, 0.01, [1.0, 0.6, -0.4]), (10.6, 0.01, [0.5, -1.0, 0.8]))
     outputs += 0.03 * rng.standard_normal(outputs.shape)
     outputs[np.arange(N) % 10 != 0, 1:] = np.nan
-    result = modal.identify(Record(force, outputs, DT))
+    result = modal.identify(Record(force, outputs, DT), **GIVEN)
     assert len(result.modes.system) == 2
     assert system_near(result, 4.6)
     (mode,) = system_near(result, 10.6)

@@ -97,7 +97,8 @@ def test_deviations_of_shapes_and_masses_are_how_far_repeated_tests_scatter():
 
 
 @pytest.mark.parametrize(
-    ("overlap", "share"), [(None, 0.5), (0.0, 0.0), pytest.param(0.75, 0.75, marks=pytest.mark.slow)]
+    ("overlap", "share"),
+    [(None, 0.5), *(pytest.param(one, one, marks=pytest.mark.slow) for one in (0.0, 0.75))],
 )
 def test_deviations_are_those_of_blocks_that_overlap(overlap, share):
     """What one block lacks of an answer the next one has: damping is told twice as well with half overlap, not 1.4."""
