@@ -68,6 +68,8 @@ def struck_apart(
     """Refined with the rows in which a blow acts weighed by what is left there, where that ends with the blow.
 
     Then they count as not measured, and with so little weight that they tell only what no other row does: feedthrough.
+    What a filter rings on belongs to them, for as long as the blow acts at most; errors that go on beyond are of
+    something else, and all rows count alike.
 
     Args:
         step: the model.
@@ -75,29 +77,33 @@ def struck_apart(
         acting: (n_samples,) a record, True where a blow acts.
         least_gain: relative decrease of the error by a step below which it is the last.
     """
-    apart, loud = data, list(acting)
-    for _ in range(WEIGHTINGS):
-        errors = errors_of(step, data)
-        loud = _grown(errors, loud)
+    errors, loud, again = errors_of(step, data), list(acting), step
+    louder = _louder(errors, loud, loud)
+    apart, widest = data, [_widened(rows) for rows in acting]
+    while louder:
         quiet = [~rows for rows in loud]
-        if not any(rows.any() for rows in loud) or (apart is data and not _louder(errors, loud, loud)):
-            break
         sizes = [_size(errors, rows)[1] for rows in (quiet, loud)]
         measured = tuple(np.tile(rows[:, np.newaxis], errors[0].shape[1]) for rows in quiet)
         apart = replace(data, measured=measured, elsewhere=min(1.0, float(np.exp(np.log(sizes[0] / sizes[1]).mean()))))
-        step = refine(step_at(step.parameters, apart), apart, n_steps=UNTIL_STILL, least_gain=least_gain)[-1]
-    return step, apart
+        again = refine(step_at(again.parameters, apart), apart, n_steps=UNTIL_STILL, least_gain=least_gain)[-1]
+        errors, before = errors_of(again, data), loud
+        louder = _louder(errors, *_beside(loud))
+        loud = [wider & most for wider, most in zip(_beside(loud)[1], widest, strict=True)]
+        if louder and all((own == one).all() for own, one in zip(loud, before, strict=True)):
+            return step, data
+    return again, apart
 
 
-def _grown(errors: Sequence[FloatArray], loud: Sequence[BoolArray]) -> list[BoolArray]:
-    """The rows, and those beside them that are as much louder than what follows: samples of a filter ring on."""
-    rows = list(loud)
-    while True:
-        wider = [binary_dilation(own, iterations=BESIDE) for own in rows]
-        rings = [there & ~own for there, own in zip(wider, rows, strict=True)]
-        if not _louder(errors, rings, wider):
-            return rows
-        rows = wider
+def _beside(rows: Sequence[BoolArray]) -> tuple[list[BoolArray], list[BoolArray]]:
+    """(n_samples,) a record: the rows on either side, and these with those between."""
+    wider = [binary_dilation(own, iterations=BESIDE) for own in rows]
+    return [there & ~own for there, own in zip(wider, rows, strict=True)], wider
+
+
+def _widened(rows: BoolArray) -> BoolArray:
+    """(n_samples,) with as many rows on either side as the longest blow holds, one step at least."""
+    longest = max((last - first for first, last in runs_of(rows)), default=0)
+    return binary_dilation(rows, iterations=max(BESIDE, longest))
 
 
 def _louder(errors: Sequence[FloatArray], rows: Sequence[BoolArray], within: Sequence[BoolArray]) -> bool:

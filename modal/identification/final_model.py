@@ -26,7 +26,7 @@ from modal.estimation.cross_validation import (
 )
 from modal.estimation.fits import fit_of, model_runs
 from modal.estimation.free_run import modal_form, one_step_predictor
-from modal.estimation.modal_parameters import in_data_states
+from modal.estimation.modal_parameters import errors_of, in_data_states
 from modal.estimation.propagation import propagated
 from modal.identification.covariance import NOT_UNDERSTOOD, judged_deviations
 from modal.identification.information import innovation_uncertainty
@@ -95,6 +95,11 @@ class FinalModel:
     def quiet(self) -> tuple[BoolArray, ...]:
         """(n_samples, n_outputs) a record, False where filled or while a blow errs by itself; none where all counts."""
         return () if self.refined is None else self.refined.data.measured
+
+    @property
+    def left(self) -> list[FloatArray]:
+        """(n_samples, n_outputs) a record: what the refinement leaves of what it was fitted to, NaN where not quiet."""
+        return [] if self.refined is None else errors_of(self.refined.step, self.refined.data)
 
     @property
     def leaves_nearly_white(self) -> bool:

@@ -415,7 +415,7 @@ def _identified(
     fitted = final.refined is not None or final.noise is not None
     modes = told_where_measured(modes, prepared, left, preparation.measured, is_driven=is_driven, is_fitted=fitted)
     apart = () if preparation.measured_if_filled else final.quiet  # rows of blows: linear, but in no sample of theirs
-    left_seen = [np.where(there, one, np.nan) for one, there in zip(left, apart or preparation.measured, strict=True)]
+    left_seen = [np.where(there, one, np.nan) for one, there in zip(left, preparation.measured, strict=True)]
     asked_of_kind = told_of_steady_lines(modes, as_mended) if kind.kind == "ambient" else Answer(modes=modes)
     if is_driven and modes.modes and prepared[0].n_inputs:
         rest = [one.outputs - simulate(model, one, initial_state=np.zeros(model.order)).outputs for one in prepared]
@@ -488,7 +488,7 @@ def _identified(
                 modes=modes,
                 excitation=excitation if by_inputs else None,
                 residuals=innovations if searched.chosen.grew and innovations else residuals,
-                seen=None if told_of_all else left_seen if final.leaves_nearly_white else (),
+                seen=None if told_of_all else (final.left if apart else left_seen) if final.leaves_nearly_white else (),
                 found=searched,
                 powers=powers,
             ),
