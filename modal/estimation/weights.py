@@ -32,7 +32,7 @@ WEIGHTINGS = 4
 AFTER = 3
 """Compare what is left while a blow acts with so many times as many rows after it: what is not linear goes on there."""
 BESIDE = 2
-"""Ask so many rows more on either side of a blow at a time."""
+"""Ask so many rows more on either side of a blow at a time, or a part of it that takes `WEIGHTINGS` rounds."""
 
 
 def weighted(
@@ -79,36 +79,34 @@ def struck_apart(
     """
     errors, loud, again = errors_of(step, data), list(acting), step
     louder = _louder(errors, loud, loud)
-    apart, widest = data, [_widened(rows) for rows in acting]
+    longest = max((last - first for rows in acting for first, last in runs_of(rows)), default=0)
+    at_a_time = max(BESIDE, longest // WEIGHTINGS)
+    apart, farthest = data, _beside(acting, max(BESIDE, longest))[1]
     while louder:
         quiet = [~rows for rows in loud]
-        sizes = [_size(errors, rows)[1] for rows in (quiet, loud)]
+        sizes = [_size(errors, rows, quiet)[1] for rows in (quiet, loud)]
         measured = tuple(np.tile(rows[:, np.newaxis], errors[0].shape[1]) for rows in quiet)
         apart = replace(data, measured=measured, elsewhere=min(1.0, float(np.exp(np.log(sizes[0] / sizes[1]).mean()))))
         again = refine(step_at(again.parameters, apart), apart, n_steps=UNTIL_STILL, least_gain=least_gain)[-1]
         errors, before = errors_of(again, data), loud
-        louder = _louder(errors, *_beside(loud))
-        loud = [wider & most for wider, most in zip(_beside(loud)[1], widest, strict=True)]
+        beside, wider = _beside(loud, at_a_time)
+        louder = _louder(errors, beside, wider)
+        loud = [own & most for own, most in zip(wider, farthest, strict=True)]
         if louder and all((own == one).all() for own, one in zip(loud, before, strict=True)):
             return step, data
     return again, apart
 
 
-def _beside(rows: Sequence[BoolArray]) -> tuple[list[BoolArray], list[BoolArray]]:
-    """(n_samples,) a record: the rows on either side, and these with those between."""
-    wider = [binary_dilation(own, iterations=BESIDE) for own in rows]
+def _beside(rows: Sequence[BoolArray], n: int) -> tuple[list[BoolArray], list[BoolArray]]:
+    """(n_samples,) a record: `n` rows on either side, and these with those between."""
+    wider = [binary_dilation(own, iterations=n) for own in rows]
     return [there & ~own for there, own in zip(wider, rows, strict=True)], wider
-
-
-def _widened(rows: BoolArray) -> BoolArray:
-    """(n_samples,) with as many rows on either side as the longest blow holds, one step at least."""
-    longest = max((last - first for first, last in runs_of(rows)), default=0)
-    return binary_dilation(rows, iterations=max(BESIDE, longest))
 
 
 def _louder(errors: Sequence[FloatArray], rows: Sequence[BoolArray], within: Sequence[BoolArray]) -> bool:
     """Whether noise of another, larger size there is likelier than of one size there and in what follows (Schwarz)."""
-    (n, own), (n_after, after) = _size(errors, rows), _size(errors, [_after(there) for there in within])
+    quiet, follow = [~there for there in within], [_after(there) for there in within]
+    (n, own), (n_after, after) = _size(errors, rows, quiet), _size(errors, follow, quiet)
     if min(n, n_after) <= own.size:
         return False
     pooled = (n * own + n_after * after) / (n + n_after)
@@ -124,11 +122,17 @@ def _after(loud: BoolArray) -> BoolArray:
     return np.asarray(there & ~loud)
 
 
-def _size(errors: Sequence[FloatArray], rows: Sequence[BoolArray]) -> tuple[int, FloatArray]:
-    """Number of these rows, and (n_outputs,) mean squares of the errors there."""
-    chosen = np.vstack([error[there] for error, there in zip(errors, rows, strict=True)])
-    n = int(np.isfinite(chosen).all(axis=1).sum())
-    return n, np.nansum(np.square(chosen), axis=0) / max(1, n) + TINY
+def _size(
+    errors: Sequence[FloatArray], rows: Sequence[BoolArray], quiet: Sequence[BoolArray]
+) -> tuple[int, FloatArray]:
+    """Number of these rows, and (n_outputs,) mean squares of the errors there, each record's over its quiet ones."""
+    chosen = []
+    for error, there, still in zip(errors, rows, quiet, strict=True):
+        noise = np.nansum(np.square(error[still]), axis=0) / max(1, still.sum())
+        chosen.append(np.square(error[there]) / np.maximum(noise, TINY))
+    squares = np.vstack(chosen)
+    n = int(np.isfinite(squares).all(axis=1).sum())
+    return n, np.nansum(squares, axis=0) / max(1, n) + TINY
 
 
 def _alike(step: RefinementStep, data: OutputError) -> tuple[RefinementStep, OutputError, FloatArray]:

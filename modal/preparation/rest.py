@@ -141,13 +141,16 @@ def with_rest(records: Sequence[Record]) -> Rested:
     n_channels = records[0].n_inputs + records[0].n_outputs
     n_samples = sum(record.n_samples for record in records)
     length = max(1, min(LONGEST, n_samples // (3 * n_channels), 1600 // n_channels))
-    begun = [int(rows.any(axis=1).argmax()) or first for rows, first in zip(_above_rest(centred), starts, strict=True)]
+    above = _above_rest(centred)
+    begun = [_begun(np.asarray(rows.any(axis=1)), first) for rows, first in zip(above, starts, strict=True)]
     resting = [_rests(record, first) for record, first in zip(centred, begun, strict=True)]
     padded = tuple(_padded(record, length) if rests else record for record, rests in zip(centred, resting, strict=True))
     whole = padded
     before = min(row for row, _ in acts(padded))
     looks_ahead = _rings_before(padded) and lead_of(padded, before) > 0
-    padded, window = (padded, (RINGING,)) if looks_ahead else _without_noise_of_rest(padded)
+    window: tuple[Choice, ...] = (RINGING,)
+    if not looks_ahead:
+        padded, window = _without_noise_of_rest(padded, above)
     if all(resting):
         value, reason = "used", "no row before the first blow moves more than the quietest part of its record"
     elif any(resting):
@@ -163,16 +166,18 @@ def with_rest(records: Sequence[Record]) -> Rested:
     )
 
 
-def _without_noise_of_rest(records: tuple[Record, ...]) -> tuple[tuple[Record, ...], tuple[Choice, ...]]:
+def _without_noise_of_rest(
+    records: tuple[Record, ...], above: Sequence[BoolArray]
+) -> tuple[tuple[Record, ...], tuple[Choice, ...]]:
     """Inputs that are zero but in their events, where a first model explains no less so: the force window.
 
     A structure that nothing strikes feels no force, so what the sensor of a force shows there is its own noise. A model
     that runs on it answers to it at every resonance, and long after the blow that is all it leaves. A shaker in between
     its bursts goes on holding the structure, though, and that force is real: it explains more.
     """
+    windows = [np.pad(own, ((one.n_samples - len(own), 0), (0, 0))) for own, one in zip(above, records, strict=True)]
     window = tuple(
-        replace(record, inputs=np.where(acting, record.inputs, 0.0))
-        for record, acting in zip(records, _above_rest(records), strict=True)
+        replace(record, inputs=np.where(own, record.inputs, 0.0)) for own, record in zip(windows, records, strict=True)
     )
     share = sum(
         int((own.inputs != record.inputs).any(axis=1).sum()) for own, record in zip(window, records, strict=True)
@@ -189,20 +194,26 @@ def _without_noise_of_rest(records: tuple[Record, ...]) -> tuple[tuple[Record, .
 
 
 def _above_rest(records: Sequence[Record]) -> list[BoolArray]:
-    """(n_samples, n_inputs) a record: blows, and all around them that stands above what the input shows far from them.
+    """(n_samples, n_inputs) a record: blows, and what stands above what the input shows there far from them.
 
     A hundredth of a blow may be a hundred times the noise of its sensor: a filter rings on, and what it rings is force.
     """
+    beyond = scipy.special.chdtri(1.0, CHANCE / sum(record.n_samples for record in records))
     found = [_widened(acting) for acting in acting_rows(records)]
-    squares = [np.square(np.nan_to_num(record.inputs)) for record in records]
-    beyond = scipy.special.chdtri(1.0, CHANCE / sum(map(len, squares)))
-    while True:
-        n_rest = np.maximum(1, np.sum([(~own).sum(axis=0) for own in found], axis=0))
-        noise = np.sum([np.where(own, 0.0, each).sum(axis=0) for own, each in zip(found, squares, strict=True)], axis=0)
-        wider = [own | (each > beyond * noise / n_rest) for own, each in zip(found, squares, strict=True)]
-        if all((own == before).all() for own, before in zip(wider, found, strict=True)):
-            return found
-        found = wider
+    for above, record in zip(found, records, strict=True):
+        squares = np.square(np.nan_to_num(record.inputs))
+        n_above = -1
+        while above.sum() > n_above:
+            n_above = int(above.sum())
+            noise = np.where(above, 0.0, squares).sum(axis=0) / np.maximum(1, (~above).sum(axis=0))
+            above |= squares > beyond * noise  # noqa: PLW2901
+    return found
+
+
+def _begun(above: BoolArray, first: int) -> int:
+    """Where what acts in row `first` has begun; there, where that is as far back as the record reaches."""
+    quiet = np.flatnonzero(~above[:first])
+    return int(quiet[-1]) + 1 if quiet.size else first
 
 
 def _rings_before(records: Sequence[Record]) -> bool:
