@@ -81,6 +81,14 @@ class OutputError:
         return tuple(np.broadcast_to(rows[:, np.newaxis], size) for rows, size in zip(self.rows, shapes, strict=True))
 
     @property
+    def shares(self) -> tuple[FloatArray, ...]:
+        """(n_samples, n_outputs) a record: squared weight of a sample, 0 where one of the row's channels is missing."""
+        return tuple(
+            np.where(there, 1.0, np.where(rows[:, np.newaxis], self.elsewhere, 0.0))
+            for rows, there in zip(self.rows, self.counted, strict=True)
+        )
+
+    @property
     def together(self) -> tuple[tuple[int, ...], ...]:
         """Outputs that are measured in the same rows."""
         groups: dict[bytes, list[int]] = {}

@@ -13,10 +13,9 @@ References:
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import binary_dilation
 
 from modal.estimation.modal_parameters import errors_of
 from modal.estimation.output_error import ROUND_OFF, OutputError, RefinementStep, refine, step_at
@@ -29,106 +28,126 @@ UNTIL_STILL = 30
 """Steps of a refinement that may run until it stands still."""
 WEIGHTINGS = 4
 """Rounds in which outputs' weights and the model settle."""
-AFTER = 3
-"""Compare what is left while a blow acts with so many times as many rows after it: what is not linear goes on there."""
 BESIDE = 2
 """Ask so many rows more on either side of a blow at a time, or a part of it that takes `WEIGHTINGS` rounds."""
 
 
-def weighted(
-    step: RefinementStep, data: OutputError, least_gain: float
-) -> tuple[RefinementStep, OutputError, FloatArray, FloatArray]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Weighted:
+    """A refined model and whose noise counts how much in it.
+
+    Attributes:
+        step: the model.
+        data: that it is fitted to.
+        weights: (n_outputs, n_outputs) of the outputs.
+        record_scale: (n_records,) what divides each record.
+    """
+
+    step: RefinementStep
+    data: OutputError
+    weights: FloatArray
+    record_scale: FloatArray
+
+    @property
+    def errors(self) -> list[FloatArray]:
+        """(n_samples, n_outputs) a record: what is left, also where rows count for little."""
+        return errors_of(self.step, replace(self.data, measured=(), elsewhere=0.0))
+
+    def apart(self, loud: Sequence[BoolArray], least_gain: float) -> "Weighted":
+        """With these rows weighed by their errors over those of the others."""
+        quiet = [~rows for rows in loud]
+        measured = tuple(np.tile(rows[:, np.newaxis], self.step.layout.n_outputs) for rows in quiet)
+        times = _size(self.errors, loud, than=quiet)[1]
+        data = replace(self.data, measured=measured, elsewhere=min(1.0, float(np.exp(-np.log(times).mean()))))
+        now = weighted(step_at(self.step.parameters, data), data, least_gain)
+        return replace(now, record_scale=self.record_scale * now.record_scale)
+
+
+def weighted(step: RefinementStep, data: OutputError, least_gain: float) -> Weighted:
     """Refined with each output and each record weighted by its own noise, settled in a few rounds.
 
     An unweighted fit spreads the error of a noisy output over the quiet ones, where it looks like coloured noise, so
     the weights come before the test for whiteness. A whole record in other units has the same model, so a record
     counts by its own noise where all its channels are divided by that.
-
-    Returns:
-        The model, the data it is fitted to, the weights of the outputs, and (n_records,) what divides each record.
     """
-    weights, whole = np.eye(step.layout.n_outputs), np.ones(len(data.records))
+    weights, scale = np.eye(step.layout.n_outputs), np.ones(len(data.records))
     for _ in range(WEIGHTINGS):
         if step.linear.squared_errors.max() == 0.0:
             break
         if len(data.records) > 1:
             step, data, size = _alike(step, data)
-            whole = whole * size
-        counts = np.sum([there.sum(axis=0) for there in data.counted], axis=0)
+            scale = scale * size
+        counts = np.sum([(share > 0.0).sum(axis=0) for share in data.shares], axis=0)
         variance = step.linear.squared_errors / np.maximum(counts, 1)
         largest = variance.max()
         weights = np.diag(largest / np.maximum(variance, SMALLEST_NOISE**2 * largest))
         step = refine(step, data, n_steps=UNTIL_STILL, least_gain=least_gain, weights=weights)[-1]
-    return step, data, weights, whole
+    return Weighted(step, data, weights, scale)
 
 
-def struck_apart(
-    step: RefinementStep, data: OutputError, acting: Sequence[BoolArray], least_gain: float
-) -> tuple[RefinementStep, OutputError]:
-    """Refined with the rows in which a blow acts weighed by what is left there, where that ends with the blow.
+def struck_apart(plain: Weighted, acting: Sequence[BoolArray], least_gain: float) -> Weighted:
+    """The rows in which a blow acts weighed by what is left there, too, where that ends with the blow.
 
     Then they count as not measured, and with so little weight that they tell only what no other row does: feedthrough.
     What a filter rings on belongs to them, for as long as the blow acts at most; errors that go on beyond are of
     something else, and all rows count alike.
 
+    Each question is asked of the model that is likeliest by the weights so far: what a noisy record does to the
+    feedthrough would be an error of the others' blows.
+
     Args:
-        step: the model.
-        data: that it is fitted to, all of it measured.
+        plain: the model, and the data that it is fitted to, all of it measured.
         acting: (n_samples,) a record, True where a blow acts.
         least_gain: relative decrease of the error by a step below which it is the last.
     """
-    errors, loud, again = errors_of(step, data), list(acting), step
-    louder = _louder(errors, loud, loud)
-    longest = max((last - first for rows in acting for first, last in runs_of(rows)), default=0)
-    at_a_time = max(BESIDE, longest // WEIGHTINGS)
-    apart, farthest = data, _beside(acting, max(BESIDE, longest))[1]
-    while louder:
-        quiet = [~rows for rows in loud]
-        sizes = [_size(errors, rows, quiet)[1] for rows in (quiet, loud)]
-        measured = tuple(np.tile(rows[:, np.newaxis], errors[0].shape[1]) for rows in quiet)
-        apart = replace(data, measured=measured, elsewhere=min(1.0, float(np.exp(np.log(sizes[0] / sizes[1]).mean()))))
-        again = refine(step_at(again.parameters, apart), apart, n_steps=UNTIL_STILL, least_gain=least_gain)[-1]
-        errors, before = errors_of(again, data), loud
-        beside, wider = _beside(loud, at_a_time)
-        louder = _louder(errors, beside, wider)
-        loud = [own & most for own, most in zip(wider, farthest, strict=True)]
-        if louder and all((own == one).all() for own, one in zip(loud, before, strict=True)):
-            return step, data
-    return again, apart
+    now, loud = plain, list(acting)
+    if not _louder(plain.errors, loud, than=[~rows for rows in loud]):
+        return plain
+    longest = max(last - first for rows in acting for first, last in runs_of(rows))
+    *_, farthest = _beside(acting, max(BESIDE, longest))
+    while True:
+        now = now.apart(loud, least_gain)
+        behind, ahead, wider = _beside(loud, max(BESIDE, longest // WEIGHTINGS))
+        quiet, errors = [~rows for rows in wider], now.errors
+        if not (_louder(errors, behind, than=quiet) or _louder(errors, ahead, than=quiet)):  # one may hide the other
+            return now.apart(loud, least_gain)  # by what a model leaves that these rows have not drawn
+        before, loud = loud, [own & most for own, most in zip(wider, farthest, strict=True)]
+        if all((own == one).all() for own, one in zip(loud, before, strict=True)):
+            return plain
 
 
-def _beside(rows: Sequence[BoolArray], n: int) -> tuple[list[BoolArray], list[BoolArray]]:
-    """(n_samples,) a record: `n` rows on either side, and these with those between."""
-    wider = [binary_dilation(own, iterations=n) for own in rows]
-    return [there & ~own for there, own in zip(wider, rows, strict=True)], wider
+def _beside(rows: Sequence[BoolArray], n: int) -> tuple[list[BoolArray], list[BoolArray], list[BoolArray]]:
+    """(n_samples,) a record: `n` rows behind each run, as many ahead of it, and all of them with the runs."""
+    behind = [_next(own, n) for own in rows]
+    ahead = [_next(own[::-1], n)[::-1] for own in rows]
+    return behind, ahead, [own | one | two for own, one, two in zip(rows, behind, ahead, strict=True)]
 
 
-def _louder(errors: Sequence[FloatArray], rows: Sequence[BoolArray], within: Sequence[BoolArray]) -> bool:
-    """Whether noise of another, larger size there is likelier than of one size there and in what follows (Schwarz)."""
-    quiet, follow = [~there for there in within], [_after(there) for there in within]
-    (n, own), (n_after, after) = _size(errors, rows, quiet), _size(errors, follow, quiet)
-    if min(n, n_after) <= own.size:
+def _next(rows: BoolArray, n: int) -> BoolArray:
+    """(n_samples,) the `n` rows behind each run, that are in none."""
+    there = np.zeros_like(rows)
+    for _, last in runs_of(rows):
+        there[last : last + n] = True
+    return np.asarray(there & ~rows)
+
+
+def _louder(errors: Sequence[FloatArray], rows: Sequence[BoolArray], *, than: Sequence[BoolArray]) -> bool:
+    """Whether noise of another, larger size there is likelier than of one size there and in the others (Schwarz)."""
+    (n, times), n_others = _size(errors, rows, than=than), sum(int(there.sum()) for there in than)
+    if min(n, n_others) <= times.size:
         return False
-    pooled = (n * own + n_after * after) / (n + n_after)
-    gain = (n + n_after) * np.log(pooled) - n * np.log(own) - n_after * np.log(after)
-    return bool(gain.mean() > np.log(n + n_after) and np.log(own / after).mean() > 0.0)
-
-
-def _after(loud: BoolArray) -> BoolArray:
-    """(n_samples,) the rows that follow each run, `AFTER` times as many as it holds, and are in none."""
-    there = np.zeros_like(loud)
-    for first, last in runs_of(loud):
-        there[last : last + AFTER * (last - first)] = True
-    return np.asarray(there & ~loud)
+    pooled = (n * times + n_others) / (n + n_others)
+    gain = (n + n_others) * np.log(pooled) - n * np.log(times)
+    return bool(gain.mean() > np.log(n + n_others) and np.log(times).mean() > 0.0)
 
 
 def _size(
-    errors: Sequence[FloatArray], rows: Sequence[BoolArray], quiet: Sequence[BoolArray]
+    errors: Sequence[FloatArray], rows: Sequence[BoolArray], *, than: Sequence[BoolArray]
 ) -> tuple[int, FloatArray]:
-    """Number of these rows, and (n_outputs,) mean squares of the errors there, each record's over its quiet ones."""
+    """Number of these rows, and (n_outputs,) mean squares of the errors there, over those of others of the record."""
     chosen = []
-    for error, there, still in zip(errors, rows, quiet, strict=True):
-        noise = np.nansum(np.square(error[still]), axis=0) / max(1, still.sum())
+    for error, there, others in zip(errors, rows, than, strict=True):
+        noise = np.nansum(np.square(error[others]), axis=0) / max(1, others.sum())
         chosen.append(np.square(error[there]) / np.maximum(noise, TINY))
     squares = np.vstack(chosen)
     n = int(np.isfinite(squares).all(axis=1).sum())

@@ -186,14 +186,14 @@ def _of_records(model: RefinedModel, variances: FloatArray, degrees_of_freedom: 
     step, data, layout = model.step, model.data, model.step.layout
     rng = np.random.default_rng(0)
     products = np.zeros((N_RECORD_DRAWS, layout.size, layout.n_outputs))
-    for number, (record, counted) in enumerate(zip(data.records, data.counted, strict=True)):
+    for number, (record, share) in enumerate(zip(data.records, data.shares, strict=True)):
         places = layout.places(number)
         drawn = rng.standard_normal((N_RECORD_DRAWS, len(places), layout.n_outputs))
         together = [list(outputs) for outputs in data.together]
         grams = np.zeros((len(together), len(places), len(places)))
         for first, every in signals_of(layout, step.parameters, number, record):
             for k, outputs in enumerate(together):
-                signals = every[counted[first : first + len(every), outputs[0]]]
+                signals = every * np.sqrt(share[first : first + len(every), outputs[:1]])
                 grams[k] += signals.T @ signals
         for gram, outputs in zip(grams, together, strict=True):
             size = _sizes(gram)
@@ -208,12 +208,12 @@ def _of_blocks(model: RefinedModel) -> _Loadings:
     """Each block of rows by what all signals have in common with its errors."""
     step, data, layout, n_blocks = model.step, model.data, model.step.layout, len(model.data.blocks)
     products, phi = np.zeros((n_blocks, layout.size, layout.n_outputs)), layout.alone.regressors
-    for number, (record, counted) in enumerate(zip(data.records, data.counted, strict=True)):
+    for number, (record, share) in enumerate(zip(data.records, data.shares, strict=True)):
         places = layout.places(number)
         own = [(i, block) for i, block in enumerate(data.blocks) if block.record == number]
         for first, signals in signals_of(layout, step.parameters, number, record):
             error = signals[:, layout.alone.outputs] - signals[:, phi] @ step.linear.coefficients[places[phi]]
-            error[~counted[first : first + len(error)]] = 0.0
+            error *= share[first : first + len(error)]
             for i, block in own:
                 there = slice(max(0, block.first - first), max(0, block.last - first))
                 products[i, places] += signals[there].T @ error[there]

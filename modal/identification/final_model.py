@@ -39,7 +39,6 @@ from modal.identification.refined_search import (
 from modal.modes.extraction import extract_modes
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel, Uncertainty
-from modal.preparation.kind import acting_rows
 from modal.verdict.repeatability import ORDER_SHARES
 from okid.arrays import BoolArray, FloatArray
 from okid.errors import InsufficientDataError, NumericalError, quiet
@@ -92,14 +91,26 @@ class FinalModel:
         return self.noise is None and self.refined is not None and self.refined.leaves_white_noise
 
     @property
-    def quiet(self) -> tuple[BoolArray, ...]:
-        """(n_samples, n_outputs) a record, False where filled or while a blow errs by itself; none where all counts."""
-        return () if self.refined is None else self.refined.data.measured
+    def apart(self) -> tuple[BoolArray, ...]:
+        """(n_samples, n_outputs) a record, False while a blow errs by itself; none beside colour."""
+        if self.refined is None or self.refined.data.elsewhere == 0.0 or not self.leaves_nearly_white:
+            return ()
+        return self.refined.data.measured
 
-    @property
-    def left(self) -> list[FloatArray]:
-        """(n_samples, n_outputs) a record: what the refinement leaves of what it was fitted to, NaN where not quiet."""
-        return [] if self.refined is None else errors_of(self.refined.step, self.refined.data)
+    def seen(self, left: Sequence[FloatArray], measured: Sequence[BoolArray]) -> list[FloatArray] | None:
+        """(n_samples, n_outputs) a record: what is left of samples that count alike; None where all do.
+
+        Args:
+            left: by the free run.
+            measured: the same shape, False where a sample was filled; none where all were measured.
+
+        Returns:
+            NaN where a sample counts less or not at all; nothing where what is left is coloured.
+        """
+        if measured:
+            pairs = zip(left, measured, strict=True) if self.leaves_nearly_white else ()
+            return [np.where(there, one, np.nan) for one, there in pairs]
+        return errors_of(self.refined.step, self.refined.data) if self.refined is not None and self.apart else None
 
     @property
     def leaves_nearly_white(self) -> bool:
@@ -115,6 +126,7 @@ def fit_all_rows(
     refinement: Literal["auto", "none"] = "auto",
     feedback: bool = False,
     measured: Sequence[BoolArray] = (),
+    acting: Sequence[BoolArray] = (),
     progress: Callable[[float], None] = lambda _share: None,
 ) -> tuple[Search, FinalModel]:
     """Fit the chosen trial, else the next best stable one, to all rows.
@@ -128,6 +140,7 @@ def fit_all_rows(
         refinement: "none" leaves the model as OKID and ERA give it.
         feedback: the outputs seem to be fed back into the inputs.
         measured: (n_samples, n_outputs) a record, False where a sample was filled; none where all were measured.
+        acting: (n_samples,) a record, True where one of a few blows acts.
         progress: called with the share that is behind at most, before each step.
 
     Returns:
@@ -162,7 +175,16 @@ def fit_all_rows(
         for start in _starts(found, trial, model, of_folds=refinement == "auto" and not n_made):
             search, last = replace(found, chosen=trial), replace(fitted, cut=model, realisation=model)
             if refinement == "auto":
-                last = _refined(records, last, trial, start=start, n_rest=n_rest, by=found.ground.by, measured=measured)
+                last = _refined(
+                    records,
+                    last,
+                    trial,
+                    start=start,
+                    n_rest=n_rest,
+                    by=found.ground.by,
+                    measured=measured,
+                    acting=acting,
+                )
             # a free run follows no wind: the likelier model of what wind moves too explains less of it, and is right
             if not model.n_inputs or keeps_promise(last.realisation, records, trial):
                 return ended(search, last)
@@ -250,6 +272,7 @@ def _refined(
     n_rest: int,
     by: Folds,
     measured: Sequence[BoolArray],
+    acting: Sequence[BoolArray],
 ) -> FinalModel:
     if not start.n_inputs:
         return fitted
@@ -263,7 +286,7 @@ def _refined(
         n_rest=n_rest,
         by=by,
         measured=measured,
-        acting=[np.asarray(rows.any(axis=1)) for rows in acting_rows(records)] if by == "rows" else (),
+        acting=acting,
     )
     return fitted if refined is None else replace(fitted, refined=refined, realisation=refined.realisation)
 
@@ -287,7 +310,8 @@ def with_noise(
     """The model with its gain, and with a model of its noise where that is likelier."""
     # the gain that came with the observer is not that of the model cut from it, and may make it unstable
     driven = model if refined is None else refined.realisation
-    records = records if refined is None else refined.as_fitted(records)
+    if refined is not None:  # what a force does between its samples is no noise
+        records = refined.as_fitted(records)
     gain = estimate_gain(driven, records) if model.n_inputs else None
     base = model if gain is None else replace(driven, K=gain.gain)
     harmless = feedback and refined is not None and not _biased(refined)
@@ -298,7 +322,7 @@ def with_noise(
     if measured and (made.leaves_nearly_white or lack_outputs(measured)):
         colour = "nearly white" if made.leaves_nearly_white else "told"
         return replace(made, why=f"{colour} where it was measured, and samples that were filled hold none")
-    if made.leaves_nearly_white and refined is not None and refined.data.measured:
+    if made.leaves_nearly_white and refined is not None and refined.data.elsewhere > 0.0:
         times = 1.0 / np.sqrt(refined.data.elsewhere)
         why = f"nearly white; while a blow acts, which no sample tells whole, errors are {times:.3g} times as large"
         return replace(made, why=f"{why}, and count by that")

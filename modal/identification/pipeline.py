@@ -53,7 +53,7 @@ from modal.preparation.delay import (
 from modal.preparation.faults import Mended, free_of_clipping, living, mended
 from modal.preparation.filling import refilled
 from modal.preparation.integrators import driven_by_inputs
-from modal.preparation.kind import GivenKind, KindFound, find_kind, given_kind
+from modal.preparation.kind import GivenKind, KindFound, acting_in, find_kind, given_kind
 from modal.preparation.quick_model import left_alone_and_together
 from modal.preparation.rest import RELEASED, released
 from modal.preparation.steps import Preparation, prepare
@@ -279,6 +279,7 @@ def _with_delays(
                 refinement=refinement,
                 feedback=suspected,
                 measured=measured,
+                acting=acting_in(records) if kind_found.kind == "transient" else (),
                 progress=lambda done: tell("fitting all rows", FITTING + (FITTED - FITTING) * done),
             )
 
@@ -414,8 +415,8 @@ def _identified(
     )
     fitted = final.refined is not None or final.noise is not None
     modes = told_where_measured(modes, prepared, left, preparation.measured, is_driven=is_driven, is_fitted=fitted)
-    apart = () if preparation.measured_if_filled else final.quiet  # rows of blows: linear, but in no sample of theirs
-    left_seen = [np.where(there, one, np.nan) for one, there in zip(left, preparation.measured, strict=True)]
+    # what a blow does there is in no sample
+    foretold = seen_alone(runs.predicted, final.apart) if final.apart else runs.predicted
     asked_of_kind = told_of_steady_lines(modes, as_mended) if kind.kind == "ambient" else Answer(modes=modes)
     if is_driven and modes.modes and prepared[0].n_inputs:
         rest = [one.outputs - simulate(model, one, initial_state=np.zeros(model.order)).outputs for one in prepared]
@@ -432,9 +433,7 @@ def _identified(
     modes, uncertainty, varying = with_changes(
         modes, uncertainty, asked if is_driven else (), left_there, output_scale=reruns.output_scale
     )
-    predicted = seen_alone(runs.predicted, apart) if apart else runs.predicted
-    told_of_all = not (apart or preparation.measured_if_filled)
-    powers = powers_of_motion(runs.records, predicted) if final.feedback == "none" else Powers()
+    powers = powers_of_motion(runs.records, foretold) if final.feedback == "none" else Powers()
     tell("checking residuals", 0.9)
     refined = final.refined if white is None else None
     fitted_to = runs.records if refined is None else refined.as_fitted(prepared)
@@ -467,7 +466,7 @@ def _identified(
             *explain_scoring(prepared, _folds(kind)),
             *(() if white is None else explain_filter(white.filter, white.share)),
             *explain_search(searched, wanted=wanted if white is None else searched.chosen),
-            *(() if final.leaves_white_noise and not apart else explain_noise(final.noise, final.why)),
+            *(() if final.leaves_white_noise and not final.apart else explain_noise(final.noise, final.why)),
             *explain_gain(final.gain),
         ),
         fit=fit,
@@ -488,7 +487,7 @@ def _identified(
                 modes=modes,
                 excitation=excitation if by_inputs else None,
                 residuals=innovations if searched.chosen.grew and innovations else residuals,
-                seen=None if told_of_all else (final.left if apart else left_seen) if final.leaves_nearly_white else (),
+                seen=final.seen(left, preparation.measured_if_filled),
                 found=searched,
                 powers=powers,
             ),

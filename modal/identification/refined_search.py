@@ -461,14 +461,21 @@ def refined_model(
         other = refine(step_at(last.parameters, between), between, n_steps=most, least_gain=least_gain)[-1]
         if other.error < last.error:  # else the inputs were held, whatever was said of them
             last, data = other, between
-    if n_steps == MOST_STEPS and acting and not measured:
-        last, data = struck_apart(last, data, acting, least_gain)
     ratio, record_scale = whiteness_ratio(last, data), np.ones(len(records))
-    if n_steps == MOST_STEPS and (start.n_outputs > 1 or len(records) > 1):
-        likeliest, alike, own, size = weighted(last, data, least_gain)
-        own_ratio = whiteness_ratio(likeliest, alike)
+    struck = bool(acting) and not measured
+    if n_steps == MOST_STEPS and (start.n_outputs > 1 or len(records) > 1 or struck):
+        likeliest = weighted(last, data, least_gain)
+        if struck:
+            likeliest = struck_apart(likeliest, acting, least_gain)
+        own_ratio = whiteness_ratio(likeliest.step, likeliest.data)
         if own_ratio <= WHITE or by == "rows":
-            last, data, weights, ratio, record_scale = likeliest, alike, own, own_ratio, size
+            last, data, weights, record_scale = (
+                likeliest.step,
+                likeliest.data,
+                likeliest.weights,
+                likeliest.record_scale,
+            )
+            ratio = own_ratio
     realisation = in_units(last, start if evidence is None else evidence, scaling)
     n_parts = len(data.blocks)
     if by == "rows" and not ratio <= WHITE:

@@ -14,8 +14,8 @@ import numpy as np
 import scipy
 
 from modal.modes.mode import ModalModel
-from modal.preparation.kind import acting_rows, find_kind
-from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
+from modal.preparation.kind import acting_in, find_kind
+from okid.arrays import TINY, ComplexArray, FloatArray
 from okid.record import Record
 
 COHERENT = 0.3
@@ -115,7 +115,7 @@ def _struck_up_to(records: Sequence[Record]) -> float:
     nearby, which is ln 2 times the mean of exponentially distributed powers); the power after n blows over it is then
     gamma-distributed. The least chance of all lines, outputs and lengths counts, times their number (Bonferroni).
     """
-    acting: list[BoolArray] = [np.asarray(rows.any(axis=1)) for rows in acting_rows(records)]
+    acting = acting_in(records)
     struck = [(np.nan_to_num(one.outputs), rows) for one, rows in zip(records, acting, strict=True) if rows.any()]
     lengths = [n for n in LENGTHS if 4 * n <= min(rows.size for _, rows in struck)]
     highest = 0.0

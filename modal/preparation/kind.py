@@ -176,7 +176,7 @@ def acts(records: Sequence[Record]) -> tuple[tuple[int, int], ...]:
 
     A record in which none acts is rest to its end: (n_samples, 0).
     """
-    rows = [np.flatnonzero(own.any(axis=1)) for own in acting_rows(records)]
+    rows = [np.flatnonzero(own) for own in acting_in(records)]
     return tuple(
         (int(own[0]), int(own[-1]) + 1) if own.size else (record.n_samples, 0)
         for own, record in zip(rows, records, strict=True)
@@ -198,6 +198,11 @@ def acting_rows(records: Sequence[Record]) -> list[BoolArray]:
         np.reshape(np.array(columns, dtype=np.bool_), (len(columns), record.n_samples)).T
         for columns, record in zip(found, records, strict=True)
     ]
+
+
+def acting_in(records: Sequence[Record]) -> list[BoolArray]:
+    """(n_samples,) a record: rows in which any input is away from rest."""
+    return [np.asarray(rows.any(axis=1)) for rows in acting_rows(records)]
 
 
 def _active_share(columns: Sequence[FloatArray]) -> float:

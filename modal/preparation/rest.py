@@ -142,7 +142,7 @@ def with_rest(records: Sequence[Record]) -> Rested:
     n_samples = sum(record.n_samples for record in records)
     length = max(1, min(LONGEST, n_samples // (3 * n_channels), 1600 // n_channels))
     above = _above_rest(centred)
-    begun = [_begun(np.asarray(rows.any(axis=1)), first) for rows, first in zip(above, starts, strict=True)]
+    begun = [_begun(rows, first) for rows, first in zip(above, starts, strict=True)]
     resting = [_rests(record, first) for record, first in zip(centred, begun, strict=True)]
     padded = tuple(_padded(record, length) if rests else record for record, rests in zip(centred, resting, strict=True))
     whole = padded
@@ -211,8 +211,8 @@ def _above_rest(records: Sequence[Record]) -> list[BoolArray]:
 
 
 def _begun(above: BoolArray, first: int) -> int:
-    """Where what acts in row `first` has begun; there, where that is as far back as the record reaches."""
-    quiet = np.flatnonzero(~above[:first])
+    """The row where what acts in row `first` has begun; `first` where that is as far back as the record reaches."""
+    quiet = np.flatnonzero(~above[:first].any(axis=1))
     return int(quiet[-1]) + 1 if quiet.size else first
 
 
@@ -233,11 +233,10 @@ def _rings_before(records: Sequence[Record]) -> bool:
                     shortly[max(0, first - MOST_LEAD) : first] = True
                 close[max(0, first - MOST_LEAD) : last + MOST_LEAD] = True
                 before = last
-            own_noise = (
-                float(np.sqrt(np.nanmean(np.square(values[~close])))) if np.isfinite(values[~close]).any() else 0
-            )
-            near.append(values[shortly] / (own_noise or 1.0))
-            far.append(values[~close] / (own_noise or 1.0))
+            rest = np.nan_to_num(values[~close])
+            noise = float(np.sqrt(np.square(rest).mean())) if rest.any() else 1.0
+            near.append(np.nan_to_num(values[shortly]) / noise)
+            far.append(rest / noise)
     powers, counts = [], []
     for rows in (near, far):
         values = np.concatenate(rows) if rows else np.zeros(0)

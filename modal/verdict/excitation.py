@@ -21,7 +21,7 @@ from era.state_recursion import PoleRecursion
 from modal.estimation.whitening import output_filters, stretches
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel, Mode
-from modal.preparation.kind import acting_rows
+from modal.preparation.kind import acting_in
 from modal.preparation.lines import MAIN_LOBE, blackman_harris, line_bins
 from modal.verdict.probability import FEWEST_TURNS, HARDLY_DRIVEN, drifting, f_ratio
 from modal.wording.text import counted, hertz, listed
@@ -335,7 +335,7 @@ def ringing(model: ModalModel, records: Sequence[Record], left: Sequence[FloatAr
         >>> (ringing(model, [Record(blow, np.ones(100), 0.01)], [noise]) > 5.0).tolist()
         [True, False]
     """
-    acting = [own.any(axis=1) for own in acting_rows(records)]
+    acting = acting_in(records)
     over = [~own & (np.arange(own.size) >= own.argmax()) for own in acting]
     after = [np.where(own[:, np.newaxis], errors, np.nan) for own, errors in zip(over, left, strict=True)]
     gains = driven_gain(model, records, after, by_itself=False)

@@ -76,6 +76,29 @@ def test_what_a_filter_rings_on_above_the_noise_is_force(noise):
     assert np.count_nonzero(kept) < 200
 
 
+@pytest.mark.parametrize("n_points", [3, 12])
+def test_each_record_of_a_roving_hammer_tells_the_noise_of_its_own_force(n_points):
+    """Pooled with the zeros of records in which another point is struck, all of the noise became force."""
+    records = []
+    for point in range(n_points):
+        one, _ = filtered_blow(noise=1e-3, seed=point)
+        own = np.zeros((2000, n_points))
+        own[:, [point]] = one.inputs
+        records.append(replace(one, inputs=own, input_names=None, input_units=None))
+    found = with_rest(records)
+    assert [choice.value for choice in found.choices if choice.what == "force window"] == ["used"]
+    assert max(int(record.inputs.any(axis=1).sum()) for record in found.records) < 100
+
+
+def test_a_touch_long_before_a_blow_is_no_beginning_of_it():
+    """Between it and the blow the structure moves: rest is asked of all rows before the blow."""
+    rng = np.random.default_rng(7)
+    moving = struck(300, noise=0.001, before=0.3)
+    force = moving.inputs + 1e-3 * rng.standard_normal((2000, 1))
+    force[5] += 0.008
+    assert with_rest([replace(moving, inputs=force)]).n_rest == (0,)
+
+
 def test_a_filter_without_noise_leaves_nothing_to_take():
     record, force = filtered_blow(noise=0.0)
     found = with_rest([record])
