@@ -319,7 +319,8 @@ def _of_inputs(model: RefinedModel, powers: FloatArray) -> tuple[_Loadings, _Loa
         states = np.zeros((N_DRAWS, n), dtype=np.complex128)
         places = layout.places(number)
         own = [(i, block) for i, block in enumerate(data.blocks) if block.record == number]
-        sizes = np.sqrt(powers[number])[:, np.newaxis] * (record.inputs != 0.0).T  # a force window leaves no noise
+        moves = record.inputs != np.median(record.inputs, axis=0)  # a force window leaves no noise
+        sizes = np.sqrt(powers[number])[:, np.newaxis] * moves.T
         for first, signals in signals_of(layout, parameters, number, record):
             there = counted[first : first + len(signals)]
             for k in range(N_DRAWS):
@@ -335,11 +336,6 @@ def _of_inputs(model: RefinedModel, powers: FloatArray) -> tuple[_Loadings, _Loa
         _pulled(model, whole / np.sqrt(N_DRAWS), float(N_DRAWS)),
         _pulled(model, each / np.sqrt(N_BLOCK_DRAWS), float(N_BLOCK_DRAWS)),
     )
-
-
-def told_at_rest(model: RefinedModel, variances: FloatArray) -> RefinedModel:
-    """The model that knows (n_records, n_inputs) variances of its inputs' noise, in the units of the records."""
-    return replace(model, at_rest=variances / (model.scaling.input_scale * model.record_scale[:, np.newaxis]) ** 2)
 
 
 def _pulled(model: RefinedModel, products: FloatArray, degrees_of_freedom: float) -> _Loadings:

@@ -38,7 +38,8 @@ from modal.identification.refined_search import (
 )
 from modal.modes.extraction import extract_modes
 from modal.modes.modal_form import discrete_poles
-from modal.modes.mode import ModalModel, Uncertainty
+from modal.modes.mode import Choice, ModalModel, Uncertainty
+from modal.preparation.steps import Preparation
 from modal.verdict.repeatability import ORDER_SHARES
 from okid.arrays import BoolArray, FloatArray
 from okid.errors import InsufficientDataError, NumericalError, quiet
@@ -127,6 +128,7 @@ def fit_all_rows(
     feedback: bool = False,
     measured: Sequence[BoolArray] = (),
     acting: Sequence[BoolArray] = (),
+    at_rest: FloatArray | None = None,
     progress: Callable[[float], None] = lambda _share: None,
 ) -> tuple[Search, FinalModel]:
     """Fit the chosen trial, else the next best stable one, to all rows.
@@ -141,6 +143,7 @@ def fit_all_rows(
         feedback: the outputs seem to be fed back into the inputs.
         measured: (n_samples, n_outputs) a record, False where a sample was filled; none where all were measured.
         acting: (n_samples,) a record, True where one of a few blows acts.
+        at_rest: (n_records, n_inputs) variances of the inputs' noise where a force window took it off.
         progress: called with the share that is behind at most, before each step.
 
     Returns:
@@ -184,6 +187,7 @@ def fit_all_rows(
                     by=found.ground.by,
                     measured=measured,
                     acting=acting,
+                    at_rest=at_rest,
                 )
             # a free run follows no wind: the likelier model of what wind moves too explains less of it, and is right
             if not model.n_inputs or keeps_promise(last.realisation, records, trial):
@@ -273,6 +277,7 @@ def _refined(
     by: Folds,
     measured: Sequence[BoolArray],
     acting: Sequence[BoolArray],
+    at_rest: FloatArray | None,
 ) -> FinalModel:
     if not start.n_inputs:
         return fitted
@@ -287,6 +292,7 @@ def _refined(
         by=by,
         measured=measured,
         acting=acting,
+        at_rest=at_rest,
     )
     return fitted if refined is None else replace(fitted, refined=refined, realisation=refined.realisation)
 
@@ -310,8 +316,8 @@ def with_noise(
     """The model with its gain, and with a model of its noise where that is likelier."""
     # the gain that came with the observer is not that of the model cut from it, and may make it unstable
     driven = model if refined is None else refined.realisation
-    if refined is not None:  # what a force does between its samples is no noise
-        records = refined.as_fitted(records)
+    if refined is not None:  # what a force does between its samples, or errs by, is no noise
+        records = refined.as_fitted(refined.with_forces(records))
     gain = estimate_gain(driven, records) if model.n_inputs else None
     base = model if gain is None else replace(driven, K=gain.gain)
     harmless = feedback and refined is not None and not _biased(refined)
@@ -340,6 +346,22 @@ def with_noise(
     gain = None if noise.n_noise == 0 else estimate_gain(noise.realisation, records)
     likeliest = noise.realisation if gain is None else replace(noise.realisation, K=gain.gain)
     return replace(made, noise=noise, why=why, gain=gain, realisation=likeliest)
+
+
+def with_forces(preparation: Preparation, final: FinalModel) -> Preparation:
+    """With the likeliest forces, where what follows a blow tells them."""
+    if final.refined is None or not final.refined.forces_erred:
+        return preparation
+    erred = np.sqrt(np.mean([np.square(own[own != 0.0]).mean() for own in final.refined.forces_erred if own.any()]))
+    largest = max(float(np.abs(record.inputs).max()) for record in preparation.records)
+    told = Choice(
+        what="force while a blow acts",
+        value="told with what follows",
+        reason="its sensor errs then as it does at rest, so each blow's answer is off by a little of its own: the "
+        f"force that is likeliest for both differs by {100.0 * erred / largest:.2g} % of its largest",
+    )
+    records = final.refined.with_forces(preparation.records)
+    return replace(preparation, records=records, choices=(*preparation.choices, told))
 
 
 def lack_outputs(measured: Sequence[BoolArray]) -> bool:

@@ -17,8 +17,7 @@ from era.simulation import simulate
 from modal.estimation.cross_validation import WITHIN, Folds, Trial
 from modal.estimation.feedback import FALSE_ALARMS, feedback_p_value, from_outside
 from modal.estimation.fits import measure_fit, model_runs
-from modal.identification.covariance import told_at_rest
-from modal.identification.final_model import FinalModel, fit_all_rows, lack_outputs, with_deviations
+from modal.identification.final_model import FinalModel, fit_all_rows, lack_outputs, with_deviations, with_forces
 from modal.identification.more_modes import with_undriven
 from modal.identification.noise_model import with_feedback
 from modal.identification.order_search import Search, choose_orders, given_orders
@@ -280,10 +279,12 @@ def _with_delays(
                 feedback=suspected,
                 measured=measured,
                 acting=acting_in(records) if kind_found.kind == "transient" else (),
+                at_rest=preparation.at_rest,
                 progress=lambda done: tell("fitting all rows", FITTING + (FITTED - FITTING) * done),
             )
 
         taken, final = fitted(preparation.records)
+        preparation = with_forces(preparation, final)
         if measured:
             again = refilled(preparation.records, preparation.measured, final.realisation)
             preparation = replace(preparation, records=again)
@@ -376,8 +377,6 @@ def _identified(
         grown="all" if white is not None else "half" if searched.chosen.weak_modes else "",
         measured=preparation.measured_if_filled if white is None else white.measured,
     )
-    if final.refined is not None and white is None:
-        final = replace(final, refined=told_at_rest(final.refined, preparation.at_rest))
     unjudged, uncertainty, inflation, moved = with_deviations(
         extract_modes(model), final, asked, measured_share=preparation.measured_share
     )

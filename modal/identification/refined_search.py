@@ -32,6 +32,7 @@ from modal.estimation.cross_validation import (
     training_decomposition,
     trial_of,
 )
+from modal.estimation.force_noise import forces_told
 from modal.estimation.free_run import begins_at_rest, filled
 from modal.estimation.modal_parameters import (
     Proposal,
@@ -374,6 +375,8 @@ class RefinedModel:
         n_parts: blocks of the data among which lies what they tell of a pole.
         record_scale: (n_records,) that all channels of a record were divided by, beside their scaling.
         at_rest: (n_records, n_inputs) variances of what inputs showed where a force window made them zero, of the data.
+        forces_erred: (n_samples, n_inputs) a record, by as much as far as what follows tells, in the units of the
+            records; none where that tells nothing.
     """
 
     realisation: Realisation
@@ -386,11 +389,17 @@ class RefinedModel:
     n_parts: int
     record_scale: FloatArray
     at_rest: FloatArray
+    forces_erred: tuple[FloatArray, ...] = ()
 
     @property
     def leaves_white_noise(self) -> bool:
         """Whether what the free run leaves is white."""
         return self.whiteness_ratio <= WHITE
+
+    def with_forces(self, records: Sequence[Record]) -> tuple[Record, ...]:
+        """The records with the likeliest forces."""
+        pairs = zip(records, self.forces_erred, strict=True) if self.forces_erred else ()
+        return tuple(replace(one, inputs=one.inputs - own) for one, own in pairs) or tuple(records)
 
     def as_fitted(self, records: Sequence[Record]) -> tuple[Record, ...]:
         """The records of the model without what their inputs, moving between samples, do beside it."""
@@ -418,6 +427,7 @@ def refined_model(
     by: Folds = "blocks",
     measured: Sequence[BoolArray] = (),
     acting: Sequence[BoolArray] = (),
+    at_rest: FloatArray | None = None,
 ) -> RefinedModel | None:
     """Refine a model on all rows of the records; None where it is noise-free, unstable or without a state.
 
@@ -434,8 +444,10 @@ def refined_model(
         by: "rows" where a few blows drive the records: even blocks hold all of an answer or nothing.
         measured: (n_samples, n_outputs) a record, False where a sample was filled; none where all were measured.
         acting: (n_samples,) a record, True where one of a few blows acts.
+        at_rest: (n_records, n_inputs) variances of the inputs' noise where a force window took it off.
     """
     scaling = channel_scaling(records)
+    at_rest = np.zeros((len(records), start.n_inputs)) if at_rest is None else at_rest
     scaled = tuple(scaled_record(record, scaling) for record in filled(records))
     rows = tuple(record.complete_rows() for record in records)
     blocks = blocks_of(scaled, _even_blocks(scaled))
@@ -462,10 +474,13 @@ def refined_model(
         if other.error < last.error:  # else the inputs were held, whatever was said of them
             last, data = other, between
     ratio, record_scale = whiteness_ratio(last, data), np.ones(len(records))
+    forces_erred: tuple[FloatArray, ...] = ()
     struck = bool(acting) and not measured
     if n_steps == MOST_STEPS and (start.n_outputs > 1 or len(records) > 1 or struck):
         likeliest = weighted(last, data, least_gain)
         if struck:
+            of_forces = at_rest / np.square(scaling.input_scale)
+            likeliest, forces_erred = forces_told(likeliest, acting, of_forces, least_gain)
             likeliest = struck_apart(likeliest, acting, least_gain)
         own_ratio = whiteness_ratio(likeliest.step, likeliest.data)
         if own_ratio <= WHITE or by == "rows":
@@ -492,7 +507,8 @@ def refined_model(
         n_rest=n_rest,
         n_parts=n_parts,
         record_scale=record_scale,
-        at_rest=np.zeros((len(records), start.n_inputs)),
+        at_rest=at_rest / np.square(scaling.input_scale * record_scale[:, np.newaxis]),
+        forces_erred=tuple(own * scaling.input_scale for own in forces_erred),
     )
 
 

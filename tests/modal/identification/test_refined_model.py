@@ -16,7 +16,7 @@ from modal.estimation.free_run import filled
 from modal.estimation.modal_parameters import starting_parameters
 from modal.estimation.modal_states import blocks_of
 from modal.estimation.output_error import OutputError, refine
-from modal.identification.covariance import judged_deviations, output_error_uncertainty, told_at_rest
+from modal.identification.covariance import judged_deviations, output_error_uncertainty
 from modal.identification.pipeline import identify
 from modal.identification.refined_search import MOST_STEPS, refined_model
 from modal.modes.extraction import extract_modes
@@ -379,7 +379,8 @@ def test_noise_that_a_force_window_leaves_within_the_blow_widens_what_follows_fr
     model = refined_model(records, exact(truth), MOST_STEPS)
     modes = extract_modes(model.realisation).modes
     plain, *_ = judged_deviations(model, modes, n_lags=1, fed_back=False)
-    noisy, *_ = judged_deviations(told_at_rest(model, np.array([[0.04]])), modes, n_lags=1, fed_back=False)
+    told = refined_model(records, exact(truth), MOST_STEPS, at_rest=np.array([[0.04]]))
+    noisy, *_ = judged_deviations(told, modes, n_lags=1, fed_back=False)
     assert (noisy.mass_std > plain.mass_std).all()
     assert (noisy.frequency_std >= plain.frequency_std).all()
 
@@ -470,6 +471,40 @@ def test_feedthrough_is_as_sure_as_errors_of_blows_let_it_be():
     records, acting = struck(rng, truth, loud=2.0)
     data = refined_model(records, exact(truth), MOST_STEPS, by="rows", acting=acting).data
     assert 1.0 / np.sqrt(data.elsewhere) == pytest.approx(2.0 / 0.01, rel=0.3)
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.02])
+def test_what_a_sensor_of_force_errs_by_is_told_with_what_follows(noise):
+    """Each blow's answer is off by a little of its own: with the likeliest forces white noise of outputs is left."""
+    squares, ratios = [], []
+    for seed in range(12):
+        rng, truth = a_system(seed, n_inputs=1)
+        records, acting = struck(rng, truth, loud=0.0)
+        erred = [noise * rng.standard_normal(one.inputs.shape) * (one.inputs != 0.0) for one in records]
+        records = [replace(one, inputs=one.inputs + own) for one, own in zip(records, erred, strict=True)]
+        fit = partial(refined_model, records, exact(truth), MOST_STEPS, by="rows", acting=acting)
+        told, plain = fit(at_rest=np.full((4, 1), noise**2)), fit()
+        assert np.linalg.norm(np.array(told.forces_erred) - erred) < np.linalg.norm(erred)
+        squares.append(errors_in_deviations(told, truth)[0] ** 2)
+        ratios.append((told.whiteness_ratio, plain.whiteness_ratio))
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.5)
+    (median, of_plain), (most, _) = np.median(ratios, axis=0), np.max(ratios, axis=0)
+    assert median < 1.1
+    assert most < 1.5
+    assert of_plain > 3.0
+
+
+def test_errors_of_force_larger_than_its_sensor_makes_are_of_something_else():
+    """A structure that is not linear answers each blow as differently."""
+    rng, truth = a_system(3, n_inputs=1)
+    records, acting = struck(rng, truth, loud=0.0)
+    records = [
+        replace(one, inputs=one.inputs * size) for one, size in zip(records, (0.97, 1.0, 1.0, 1.03), strict=True)
+    ]
+    for size, told in ((0.05, True), (0.002, False)):
+        at_rest = np.full((4, 1), size**2)
+        model = refined_model(records, exact(truth), MOST_STEPS, by="rows", acting=acting, at_rest=at_rest)
+        assert bool(model.forces_erred) is told
 
 
 @pytest.mark.parametrize("colour", [0.0, 0.9])

@@ -1,0 +1,147 @@
+"""What the sensor of a force erred by while a blow acted, as far as what followed tells.
+
+Between blows a force window makes the force zero: nothing acts. Within a blow the sensor errs as much, and all that
+follows is the answer to what acted, not to what it showed: each blow's answer is then off by a little of its own, many
+times the noise of the outputs where that is small. With errors e of the force, white, of the variance that it shows at
+rest, what is left is
+
+    r = T e + n,   T = the answers to unit pulses,   var n = R,   var e = Q
+
+and the likeliest e, for a model, is (T' R^-1 T + Q^-1)^-1 T' R^-1 r (Gauss-Markov, with what the sensor is known by as
+the prior). Less of that, and refined again, the model is the likeliest for both noises. Rows in which a blow acts are
+not asked, only what follows: what a blow does beyond half the sampling rate ends with it.
+
+What is left may say no: errors larger than the sensor's are of something else (a structure that is not linear answers
+each blow as differently), and the force stays as it was measured.
+
+References:
+    Van Huffel and Vandewalle, The Total Least Squares Problem, SIAM, 1991, doi:10.1137/1.9781611971002, chapter 8.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from modal.estimation.free_run import ModalRecursion
+from modal.estimation.output_error import RefinementStep, step_at
+from modal.estimation.weights import Weighted, weighted
+from okid.arrays import TINY, BoolArray, FloatArray
+
+CHUNK_VALUES = 1 << 21
+"""Values of answers at a time."""
+MOST = 1000
+"""Errors of a record's forces up to which all of them are told together."""
+CHANCE = 1e-3
+"""Errors as large as those that are left are of the sensor unless so seldom by chance."""
+TURNS = 10
+"""Turns in which forces and model settle,"""
+STANDS_STILL = 1e-3
+"""or until a turn moves the error by no more than this share of it."""
+TOLD = 1e-6
+"""A combination of the force's errors is told by what follows from so much of the noise's power on."""
+
+
+def forces_told(
+    plain: Weighted, acting: Sequence[BoolArray], variances: FloatArray, least_gain: float
+) -> tuple[Weighted, tuple[FloatArray, ...]]:
+    """Refined with the likeliest forces, by turns until neither moves.
+
+    Args:
+        plain: the model, and data with forces as they were measured.
+        acting: (n_samples,) a record, True where a blow acts.
+        variances: (n_records, n_inputs) of the noise of the forces, in units before `plain` divided each record.
+        least_gain: relative decrease of the error by a step below which it is the last.
+
+    Returns:
+        The model, and (n_samples, n_inputs) a record, what the forces erred by, in the same units; as it was and none
+        where what is left is larger than noise of the sensors makes it.
+    """
+    now, quiet, erred = plain, [~rows for rows in acting], ()
+    for _ in range(TURNS if variances.any() else 0):
+        scale = now.record_scale / plain.record_scale
+        records = tuple(
+            replace(one, inputs=one.inputs / own, outputs=one.outputs / own)
+            for one, own in zip(plain.data.records, scale, strict=True)
+        )
+        as_measured = replace(now, data=replace(now.data, records=records))
+        errors = force_errors(as_measured, quiet, variances / np.square(now.record_scale)[:, np.newaxis])
+        if not errors:
+            return plain, ()
+        erred = tuple(own * size for own, size in zip(errors, now.record_scale, strict=True))
+        clean = [replace(one, inputs=one.inputs - own) for one, own in zip(records, errors, strict=True)]
+        data = replace(now.data, records=tuple(clean))
+        step = step_at(now.step.parameters, data, weights=now.weights)
+        again = weighted(step, data, least_gain)
+        again = replace(again, record_scale=now.record_scale * again.record_scale)
+        moved, now = abs(again.step.error / step.error - 1.0), again
+        if moved < STANDS_STILL:
+            break
+    return now, erred
+
+
+def force_errors(now: Weighted, quiet: Sequence[BoolArray], variances: FloatArray) -> tuple[FloatArray, ...]:
+    """(n_samples, n_inputs) a record, the likeliest errors of the forces; none where what is left is not of them.
+
+    Args:
+        now: the model, and data with forces as they were measured.
+        quiet: (n_samples,) a record, False where a blow acts.
+        variances: (n_records, n_inputs) of the noise of the forces; zero where there is none.
+    """
+    records = now.data.records
+    asked = [np.where(rows[:, np.newaxis], own, np.nan) for rows, own in zip(quiet, now.errors, strict=True)]
+    counts = np.sum([np.isfinite(own).sum(axis=0) for own in asked], axis=0)
+    noise = np.sqrt(np.sum([np.nansum(np.square(own), axis=0) for own in asked], axis=0) / np.maximum(counts, 1) + TINY)
+    pulses = _pulses(now.step, max(record.n_samples for record in records)) / noise
+    found, size, number = [], 0.0, 0
+    for record, own, variance in zip(records, asked, variances, strict=True):
+        moves = record.inputs != np.median(record.inputs, axis=0)  # a force window leaves no noise elsewhere
+        row, which = np.nonzero(moves & (variance > 0.0))
+        if row.size > MOST:
+            return ()
+        deviation = np.sqrt(variance[which])
+        gram, product = _told(pulses, row, which, own / noise)
+        told, directions = scipy.linalg.eigh(gram * np.outer(deviation, deviation))
+        told = np.maximum(told, 0.0)
+        score = directions.T @ (deviation * product)
+        seen = told > TOLD
+        size += float((score[seen] ** 2 / (told[seen] * (1.0 + told[seen]))).sum())
+        number += int(seen.sum())
+        errors = np.zeros_like(record.inputs)
+        errors[row, which] = -deviation * (directions @ (score / (1.0 + told)))  # what was not there made no answer
+        found.append(errors)
+    return tuple(found) if number and scipy.special.chdtrc(number, size) > CHANCE else ()
+
+
+def _pulses(step: RefinementStep, n: int) -> FloatArray:
+    """(n_inputs, n, n_outputs) answers to unit pulses."""
+    layout, m = step.layout, step.layout.n_inputs
+    direct = np.zeros((layout.n_outputs, m))
+    first = 2 * layout.n_poles
+    direct[:, : layout.n_direct] = step.linear.coefficients[first : first + layout.n_direct].T
+    recursion = ModalRecursion.of(step.parameters.poles, step.parameters.inputs, step.linear.shapes, direct)
+    answers = []
+    for i in range(m):
+        pulse = np.zeros((n, m))
+        pulse[0, i] = 1.0
+        answers.append(recursion.from_rest(pulse))
+    return np.array(answers)
+
+
+def _told(
+    pulses: FloatArray, row: npt.NDArray[np.intp], which: npt.NDArray[np.intp], errors: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """T'T and T'r of pulses at these rows of these inputs."""
+    gram, product = np.zeros((row.size, row.size)), np.zeros(row.size)
+    chunk = max(1, CHUNK_VALUES // max(1, row.size * errors.shape[1]))
+    for first in range(0, len(errors) if row.size else 0, chunk):
+        own = errors[first : first + chunk]
+        since = np.arange(first, first + len(own))[:, np.newaxis] - row
+        answers = np.where((since >= 0)[..., np.newaxis], pulses[which, np.maximum(since, 0)], 0.0)
+        answers = np.where(np.isfinite(own)[:, np.newaxis, :], answers, 0.0)
+        flat = answers.transpose(0, 2, 1).reshape(-1, row.size)
+        gram += flat.T @ flat
+        product += flat.T @ np.nan_to_num(own).ravel()
+    return gram, product
