@@ -26,8 +26,8 @@ import numpy.typing as npt
 import scipy
 
 from modal.estimation.free_run import ModalRecursion
-from modal.estimation.output_error import RefinementStep, step_at
-from modal.estimation.weights import Weighted, weighted
+from modal.estimation.output_error import RefinementStep, refine, step_at
+from modal.estimation.weights import UNTIL_STILL, Weighted, weighted
 from okid.arrays import TINY, BoolArray, FloatArray
 
 CHUNK_VALUES = 1 << 21
@@ -59,27 +59,25 @@ def forces_told(
         The model, and (n_samples, n_inputs) a record, what the forces erred by, in the same units; as it was and none
         where what is left is larger than noise of the sensors makes it.
     """
-    now, quiet, erred = plain, [~rows for rows in acting], ()
+    now, quiet = plain, [~rows for rows in acting]
+    errors: tuple[FloatArray, ...] = ()
+    variances = variances / np.square(plain.record_scale)[:, np.newaxis]
     for _ in range(TURNS if variances.any() else 0):
-        scale = now.record_scale / plain.record_scale
-        records = tuple(
-            replace(one, inputs=one.inputs / own, outputs=one.outputs / own)
-            for one, own in zip(plain.data.records, scale, strict=True)
-        )
-        as_measured = replace(now, data=replace(now.data, records=records))
-        errors = force_errors(as_measured, quiet, variances / np.square(now.record_scale)[:, np.newaxis])
+        errors = force_errors(replace(now, data=plain.data), quiet, variances)
         if not errors:
             return plain, ()
-        erred = tuple(own * size for own, size in zip(errors, now.record_scale, strict=True))
-        clean = [replace(one, inputs=one.inputs - own) for one, own in zip(records, errors, strict=True)]
-        data = replace(now.data, records=tuple(clean))
+        records = zip(plain.data.records, errors, strict=True)
+        data = replace(plain.data, records=tuple(replace(one, inputs=one.inputs - own) for one, own in records))
         step = step_at(now.step.parameters, data, weights=now.weights)
-        again = weighted(step, data, least_gain)
-        again = replace(again, record_scale=now.record_scale * again.record_scale)
-        moved, now = abs(again.step.error / step.error - 1.0), again
-        if moved < STANDS_STILL:
+        again = refine(step, data, n_steps=UNTIL_STILL, least_gain=least_gain, weights=now.weights)[-1]
+        now = replace(now, step=again, data=data)
+        if again.error > (1.0 - STANDS_STILL) * step.error:
             break
-    return now, erred
+    if not errors:
+        return plain, ()
+    settled = weighted(now.step, now.data, least_gain)
+    erred = tuple(own * size for own, size in zip(errors, plain.record_scale, strict=True))
+    return replace(settled, record_scale=plain.record_scale * settled.record_scale), erred
 
 
 def force_errors(now: Weighted, quiet: Sequence[BoolArray], variances: FloatArray) -> tuple[FloatArray, ...]:
