@@ -93,7 +93,8 @@ def powers_of_motion(records: Sequence[Record], predicted: Sequence[Record]) -> 
     whole = np.isfinite(np.hstack([known, errors])).all(axis=1)
     if not whole.any():
         return Powers()
-    scaled = (known - known[whole].mean(axis=0)) / np.maximum(known[whole].std(axis=0), TINY)
+    size = known[whole].std(axis=0)  # what acts in rows of blows alone, that are not asked, tells nothing
+    scaled = (known - known[whole].mean(axis=0)) / np.where(size > 0.0, size, np.inf)
     left = errors / np.maximum(np.sqrt(np.square(errors[whole]).mean(axis=0)), TINY)
     of_known, of_motion, of_errors = (
         _principal(values[whole], most)
@@ -121,7 +122,8 @@ class _Part:
 def _principal(values: FloatArray, most: int) -> FloatArray:
     """(n, at most `most`) sums of columns that move most, each of size 1."""
     axes = np.linalg.eigh(values.T @ values)[1][:, -most:]
-    return np.asarray(axes / np.maximum((values @ axes).std(axis=0), TINY), dtype=np.float64)
+    size = (values @ axes).std(axis=0)
+    return np.asarray(axes / np.where(size > 0.0, size, np.inf), dtype=np.float64)
 
 
 def _asked(parts: Sequence[_Part], *, levelled: bool) -> Powers:

@@ -176,3 +176,15 @@ def test_what_is_weak_or_acts_on_the_velocity_is_told(law, size):
     moved = run_chain([1.0], [k], [c], gain * force[np.newaxis], DT, law=of[law], n_steps=8)[0, :, 0]
     outputs = moved + 0.02 * moved.std() * rng.standard_normal(5000)
     assert told(modal.identify(Record(force, outputs, DT), order=2, **GIVEN))
+
+
+def test_rows_of_blows_that_are_not_asked_leave_no_force():
+    """Then the force stands still in all rows that are: it is neither divided by nothing nor asked."""
+    rng = np.random.default_rng(5)
+    force = np.zeros((4000, 1))
+    force[500::1000] = 1.0
+    predicted = rung(force + 1e-3 * rng.standard_normal(force.shape), 2.0, 0.02)
+    record = Record(force, predicted + 0.01 * rng.standard_normal(force.shape), DT)
+    alone = Record(force, np.where(force > 0.0, np.nan, predicted), DT)
+    with np.errstate(all="raise"):
+        assert powers_of_motion([record], [alone]).chance > NOT_LINEAR
