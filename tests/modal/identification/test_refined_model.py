@@ -494,6 +494,14 @@ def test_what_a_sensor_of_force_errs_by_is_told_with_what_follows(noise):
     assert of_plain > 3.0
 
 
+def test_a_force_that_what_follows_tells_worse_than_its_sensor_stays_as_it_was_measured():
+    rng, truth = a_system(4, n_inputs=1)
+    records, acting = struck(rng, truth, loud=0.0)
+    at_rest = np.full((4, 1), 1e-4**2)
+    told = refined_model(records, exact(truth), MOST_STEPS, by="rows", acting=acting, at_rest=at_rest).forces_erred
+    assert 0.0 < max(np.abs(own).max() for own in told) < 0.5e-4
+
+
 def test_errors_of_force_larger_than_its_sensor_makes_are_of_something_else():
     """A structure that is not linear answers each blow as differently."""
     rng, truth = a_system(3, n_inputs=1)
