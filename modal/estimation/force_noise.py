@@ -26,7 +26,8 @@ import numpy.typing as npt
 import scipy
 
 from modal.estimation.free_run import ModalRecursion
-from modal.estimation.output_error import RefinementStep, refine, step_at
+from modal.estimation.modal_parameters import errors_of
+from modal.estimation.output_error import OutputError, RefinementStep, refine, step_at
 from modal.estimation.weights import UNTIL_STILL, Weighted, weighted
 from okid.arrays import TINY, BoolArray, FloatArray
 
@@ -63,11 +64,10 @@ def forces_told(
     errors: tuple[FloatArray, ...] = ()
     variances = variances / np.square(plain.record_scale)[:, np.newaxis]
     for _ in range(TURNS if variances.any() else 0):
-        errors = force_errors(replace(now, data=plain.data), quiet, variances)
+        errors = force_errors(now.step, plain.data, quiet, variances)
         if not errors:
             return plain, ()
-        records = zip(plain.data.records, errors, strict=True)
-        data = replace(plain.data, records=tuple(replace(one, inputs=one.inputs - own) for one, own in records))
+        data = less(plain.data, errors)
         step = step_at(now.step.parameters, data, weights=now.weights)
         again = refine(step, data, n_steps=UNTIL_STILL, least_gain=least_gain, weights=now.weights)[-1]
         now = replace(now, step=again, data=data)
@@ -80,65 +80,74 @@ def forces_told(
     return replace(settled, record_scale=plain.record_scale * settled.record_scale), erred
 
 
-def force_errors(now: Weighted, quiet: Sequence[BoolArray], variances: FloatArray) -> tuple[FloatArray, ...]:
+def less(data: OutputError, errors: Sequence[FloatArray]) -> OutputError:
+    """With forces less (n_samples, n_inputs) of their errors a record."""
+    pairs = zip(data.records, errors, strict=True)
+    return replace(data, records=tuple(replace(one, inputs=one.inputs - own) for one, own in pairs))
+
+
+def force_errors(
+    step: RefinementStep, data: OutputError, quiet: Sequence[BoolArray], variances: FloatArray
+) -> tuple[FloatArray, ...]:
     """(n_samples, n_inputs) a record, the likeliest errors of the forces; none where what is left is not of them.
 
     Args:
-        now: the model, and data with forces as they were measured.
+        step: the model.
+        data: with forces as they were measured.
         quiet: (n_samples,) a record, False where a blow acts.
         variances: (n_records, n_inputs) of the noise of the forces; zero where there is none.
     """
-    records = now.data.records
-    asked = [np.where(rows[:, np.newaxis], own, np.nan) for rows, own in zip(quiet, now.errors, strict=True)]
+    pairs = zip(quiet, errors_of(step, data), strict=True)
+    asked = [np.where(rows[:, np.newaxis], own, np.nan) for rows, own in pairs]
     counts = np.sum([np.isfinite(own).sum(axis=0) for own in asked], axis=0)
     noise = np.sqrt(np.sum([np.nansum(np.square(own), axis=0) for own in asked], axis=0) / np.maximum(counts, 1) + TINY)
-    pulses = _pulses(now.step, max(record.n_samples for record in records)) / noise
     found, size, number = [], 0.0, 0
-    for record, own, variance in zip(records, asked, variances, strict=True):
+    for record, own, variance in zip(data.records, asked, variances, strict=True):
         moves = record.inputs != np.median(record.inputs, axis=0)  # a force window leaves no noise elsewhere
         row, which = np.nonzero(moves & (variance > 0.0))
         if row.size > MOST:
             return ()
+        found.append(np.zeros_like(record.inputs))
+        if not row.size:
+            continue
+        drives, kind = np.unique(which, return_inverse=True)
+        gram, product = _told(_pulses(step, drives, record.n_samples) / noise, row, kind, own / noise)
         deviation = np.sqrt(variance[which])
-        gram, product = _told(pulses, row, which, own / noise)
         told, directions = scipy.linalg.eigh(gram * np.outer(deviation, deviation))
         told = np.maximum(told, 0.0)
         score = directions.T @ (deviation * product)
         seen = told > TOLD
         size += float((score[seen] ** 2 / (told[seen] * (1.0 + told[seen]))).sum())
         number += int(seen.sum())
-        errors = np.zeros_like(record.inputs)
-        errors[row, which] = -deviation * (directions @ (score / (1.0 + told)))  # what was not there made no answer
-        found.append(errors)
+        found[-1][row, which] = -deviation * (directions @ (score / (1.0 + told)))  # what was not there made no answer
     return tuple(found) if number and scipy.special.chdtrc(number, size) > CHANCE else ()
 
 
-def _pulses(step: RefinementStep, n: int) -> FloatArray:
-    """(n_inputs, n, n_outputs) answers to unit pulses."""
-    layout, m = step.layout, step.layout.n_inputs
-    direct = np.zeros((layout.n_outputs, m))
-    first = 2 * layout.n_poles
+def _pulses(step: RefinementStep, drives: npt.NDArray[np.intp], n: int) -> FloatArray:
+    """(n_drives, n_alive, n_outputs) answers to unit pulses of these inputs, until they have died out."""
+    layout, first = step.layout, 2 * step.layout.n_poles
+    direct = np.zeros((layout.n_outputs, layout.n_inputs))
     direct[:, : layout.n_direct] = step.linear.coefficients[first : first + layout.n_direct].T
     recursion = ModalRecursion.of(step.parameters.poles, step.parameters.inputs, step.linear.shapes, direct)
     answers = []
-    for i in range(m):
-        pulse = np.zeros((n, m))
-        pulse[0, i] = 1.0
+    for drive in drives:
+        pulse = np.zeros((recursion.n_alive(n), layout.n_inputs))
+        pulse[0, drive] = 1.0
         answers.append(recursion.from_rest(pulse))
     return np.array(answers)
 
 
 def _told(
-    pulses: FloatArray, row: npt.NDArray[np.intp], which: npt.NDArray[np.intp], errors: FloatArray
+    pulses: FloatArray, row: npt.NDArray[np.intp], kind: npt.NDArray[np.intp], errors: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """T'T and T'r of pulses at these rows of these inputs."""
+    """T'T and T'r of pulses, each of one kind, in these rows."""
     gram, product = np.zeros((row.size, row.size)), np.zeros(row.size)
-    chunk = max(1, CHUNK_VALUES // max(1, row.size * errors.shape[1]))
-    for first in range(0, len(errors) if row.size else 0, chunk):
+    chunk = max(1, CHUNK_VALUES // (row.size * errors.shape[1]))
+    for first in range(0, len(errors), chunk):
         own = errors[first : first + chunk]
         since = np.arange(first, first + len(own))[:, np.newaxis] - row
-        answers = np.where((since >= 0)[..., np.newaxis], pulses[which, np.maximum(since, 0)], 0.0)
-        answers = np.where(np.isfinite(own)[:, np.newaxis, :], answers, 0.0)
+        alive = ((since >= 0) & (since < pulses.shape[1]))[..., np.newaxis] & np.isfinite(own)[:, np.newaxis, :]
+        answers = np.where(alive, pulses[kind, since.clip(0, pulses.shape[1] - 1)], 0.0)
         flat = answers.transpose(0, 2, 1).reshape(-1, row.size)
         gram += flat.T @ flat
         product += flat.T @ np.nan_to_num(own).ravel()

@@ -263,8 +263,14 @@ def _with_delays(
             measured=measured,
             progress=lambda done: tell("choosing observer, ridge and model order on held-out rows", 0.05 + 0.2 * done),
         ).evidence
+        struck = acting_in(preparation.records) if kind_found.kind == "transient" else ()
         if refinement == "auto" and several[0].n_inputs:
-            found = refined_search(found, progress=lambda done: tell("refining on held-out rows", 0.25 + 0.15 * done))
+            found = refined_search(
+                found,
+                acting=struck,
+                at_rest=preparation.at_rest,
+                progress=lambda done: tell("refining on held-out rows", 0.25 + 0.15 * done),
+            )
         tell("fitting all rows", FITTING)
         # a few blows are no stationary input, of which the test could be asked
         acting = early_inputs(living(several)[0], preparation.input_delay, preparation.records[0].dt)
@@ -278,7 +284,7 @@ def _with_delays(
                 refinement=refinement,
                 feedback=suspected,
                 measured=measured,
-                acting=acting_in(records) if kind_found.kind == "transient" else (),
+                acting=struck,
                 at_rest=preparation.at_rest,
                 progress=lambda done: tell("fitting all rows", FITTING + (FITTED - FITTING) * done),
             )
@@ -294,13 +300,7 @@ def _with_delays(
         asked = refinement == "auto" and kind_found.kind == "driven" and not suspected
         asked = asked and not (measured and final.leaves_nearly_white)
         white, final = _in_white(
-            preparation.records,
-            taken,
-            final,
-            asked=asked,
-            grows=order == "auto",
-            measured=measured,
-            tell=tell,
+            preparation.records, taken, final, asked=asked, grows=order == "auto", measured=measured, tell=tell
         )
         return _identified(
             several,

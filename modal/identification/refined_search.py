@@ -32,7 +32,7 @@ from modal.estimation.cross_validation import (
     training_decomposition,
     trial_of,
 )
-from modal.estimation.force_noise import forces_told
+from modal.estimation.force_noise import force_errors, forces_told, less
 from modal.estimation.free_run import begins_at_rest, filled
 from modal.estimation.modal_parameters import (
     Proposal,
@@ -100,11 +100,19 @@ def output_error_data(ground: Ground) -> OutputError:
     return OutputError(records=ground.scaled, rows=rows, blocks=blocks, measured=ground.measured)
 
 
-def refined_search(found: Search, *, progress: Callable[[float], None] = lambda _: None) -> Search:
+def refined_search(
+    found: Search,
+    *,
+    acting: Sequence[BoolArray] = (),
+    at_rest: FloatArray | None = None,
+    progress: Callable[[float], None] = lambda _: None,
+) -> Search:
     """The search with its best candidates refined; the refined trials stand beside those without refinement.
 
     Args:
         found: observers and model orders by their free runs without refinement.
+        acting: (n_samples,) a record, True where one of a few blows acts.
+        at_rest: (n_records, n_inputs) variances of the inputs' noise where a force window took it off.
         progress: called with the share done.
     """
     first, *others = _observers(found)
@@ -112,7 +120,9 @@ def refined_search(found: Search, *, progress: Callable[[float], None] = lambda 
     shop = _Workshop(ground=found.ground, data=output_error_data(found.ground), largest_order=max(orders) + 2)
     refined: dict[tuple[int, float, int], list[Trial]] = {}
     resting = found.ground.by == "rows" and all(begins_at_rest(record, FEW) for record in found.ground.scaled)
-    pursued = _pursued(shop, first, found.limits.model_orders) if resting else []
+    known = acting and at_rest is not None and not found.ground.measured
+    of_forces = at_rest / np.square(found.ground.scaling.input_scale) if known else None
+    pursued = _pursued(shop, first, found.limits.model_orders, acting, of_forces) if resting else []
     best, without_gain = min(found.trials[0].error, _least_error(pursued)), 0
     for i, n in enumerate(orders):
         refined[*first, n] = _trials(shop, (*first, n), hopeless=HOPELESS * best)
@@ -149,33 +159,49 @@ def refined_search(found: Search, *, progress: Callable[[float], None] = lambda 
     return replace(found, trials=tuple(everything), chosen=chosen)
 
 
-def _pursued(shop: _Workshop, observer: tuple[int, float], model_orders: Sequence[int]) -> list[Trial]:
+def _pursued(
+    shop: _Workshop,
+    observer: tuple[int, float],
+    model_orders: Sequence[int],
+    acting: Sequence[BoolArray],
+    of_forces: FloatArray | None,
+) -> list[Trial]:
     """Trials of models that grow from nothing by the strongest mode of what is left, as long as held-out rows gain.
 
     An answer to a blow is over before an observer has seen enough of it, and its weak modes lie far below the others;
     but it is a sum of a few answers, of which each takes its own part of the squared error. All rows find where each
     fold starts, which then fits its own.
 
+    What the sensor of a force erred by makes an answer of its own of every blow, which no mode is to follow: as soon as
+    what is left is no larger than that, the likeliest forces take its place.
+
     Args:
         shop: of the refinements.
         observer: (order, ridge) whose evidence the models keep.
         model_orders: that may be tried: even ones up to the largest, or the one that was given.
+        acting: (n_samples,) a record, True where a blow acts.
+        of_forces: (n_records, n_inputs) variances of the noise of the forces; None where it is not known.
     """
     trials: list[Trial] = []
     scored = [
         [i for i, block in enumerate(shop.data.blocks) if block.label == f] for f in range(len(shop.ground.folds))
     ]
-    step: RefinementStep | None = nothing_yet(shop.data)
+    data, quiet = shop.data, [~rows for rows in acting]
+    step: RefinementStep | None = nothing_yet(data)
     best, without_gain = None, 0
     while 2 * len(trials) + 2 <= max(model_orders) and without_gain < PATIENCE:
-        step = None if step is None else with_weak_mode(step, shop.data, by="blow")
+        step = None if step is None else with_weak_mode(step, data, by="blow")
         if step is None:
             break
-        step = refine(step, shop.data, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
+        step = refine(step, data, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
+        erred = () if of_forces is None else force_errors(step, shop.data, quiet, of_forces)
+        if erred:
+            data = less(shop.data, erred)
+            step = refine(step_at(step.parameters, data), data, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
         errors = []
         for fold, blocks in enumerate(scored):
-            start = step_at(step.parameters, shop.data, held_out=fold)
-            last = refine(start, shop.data, held_out=fold, n_steps=1, least_gain=GROWS_ON)[-1]
+            start = step_at(step.parameters, data, held_out=fold)
+            last = refine(start, data, held_out=fold, n_steps=1, least_gain=GROWS_ON)[-1]
             errors.append(last.block_errors(blocks))
         n = len(trials) + 1
         made = trial_of(*observer, 2 * n, errors, shop.ground.power, refinement_steps=MOST_STEPS, weak_modes=n)
