@@ -60,33 +60,54 @@ def forces_told(
         The model, and (n_samples, n_inputs) a record, what the forces erred by, in the same units; as it was and none
         where what is left is larger than noise of the sensors makes it.
     """
-    now, quiet = plain, [~rows for rows in acting]
-    errors: tuple[FloatArray, ...] = ()
     variances = variances / np.square(plain.record_scale)[:, np.newaxis]
-    for _ in range(TURNS if variances.any() else 0):
-        errors = force_errors(now.step, plain.data, quiet, variances)
-        if not errors:
-            return plain, ()
-        data = less(plain.data, errors)
-        step = step_at(now.step.parameters, data, weights=now.weights)
-        again = refine(step, data, n_steps=UNTIL_STILL, least_gain=least_gain, weights=now.weights)[-1]
-        now = replace(now, step=again, data=data)
-        if again.error > (1.0 - STANDS_STILL) * step.error:
-            break
+    step, data, errors = by_turns(plain.step, plain.data, acting, variances, least_gain, weights=plain.weights)
     if not errors:
         return plain, ()
-    settled = weighted(now.step, now.data, least_gain)
+    settled = weighted(step, data, least_gain)
     erred = tuple(own * size for own, size in zip(errors, plain.record_scale, strict=True))
     return replace(settled, record_scale=plain.record_scale * settled.record_scale), erred
 
 
-def less(data: OutputError, errors: Sequence[FloatArray]) -> OutputError:
-    """With forces less (n_samples, n_inputs) of their errors a record."""
-    pairs = zip(data.records, errors, strict=True)
-    return replace(data, records=tuple(replace(one, inputs=one.inputs - own) for one, own in pairs))
+def by_turns(
+    step: RefinementStep,
+    data: OutputError,
+    acting: Sequence[BoolArray],
+    variances: FloatArray,
+    least_gain: float,
+    *,
+    weights: FloatArray | None = None,
+) -> tuple[RefinementStep, OutputError, tuple[FloatArray, ...]]:
+    """The model and the likeliest forces by turns until neither moves.
+
+    Args:
+        step: the model.
+        data: with forces as they were measured.
+        acting: (n_samples,) a record, True where a blow acts.
+        variances: (n_records, n_inputs) of the noise of the forces, of the data.
+        least_gain: relative decrease of the error by a step below which it is the last.
+        weights: (n_outputs, n_outputs) of the squared errors.
+
+    Returns:
+        The model, data with the likeliest forces, and what those that were measured erred by; as it was and none where
+        what is left is larger than noise of the sensors makes it.
+    """
+    now, told = step, data
+    errors: tuple[FloatArray, ...] = ()
+    for _ in range(TURNS if variances.any() else 0):
+        errors = _errors(now, data, [~rows for rows in acting], variances)
+        if not errors:
+            return step, data, ()
+        pairs = zip(data.records, errors, strict=True)
+        told = replace(data, records=tuple(replace(one, inputs=one.inputs - own) for one, own in pairs))
+        begun = step_at(now.parameters, told, weights=weights)
+        now = refine(begun, told, n_steps=UNTIL_STILL, least_gain=least_gain, weights=weights)[-1]
+        if now.error > (1.0 - STANDS_STILL) * begun.error:
+            break
+    return now, told, errors
 
 
-def force_errors(
+def _errors(
     step: RefinementStep, data: OutputError, quiet: Sequence[BoolArray], variances: FloatArray
 ) -> tuple[FloatArray, ...]:
     """(n_samples, n_inputs) a record, the likeliest errors of the forces; none where what is left is not of them.

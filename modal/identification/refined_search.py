@@ -32,7 +32,7 @@ from modal.estimation.cross_validation import (
     training_decomposition,
     trial_of,
 )
-from modal.estimation.force_noise import force_errors, forces_told, less
+from modal.estimation.force_noise import by_turns, forces_told
 from modal.estimation.free_run import begins_at_rest, filled
 from modal.estimation.modal_parameters import (
     Proposal,
@@ -186,7 +186,7 @@ def _pursued(
     scored = [
         [i for i, block in enumerate(shop.data.blocks) if block.label == f] for f in range(len(shop.ground.folds))
     ]
-    data, quiet = shop.data, [~rows for rows in acting]
+    data = shop.data
     step: RefinementStep | None = nothing_yet(data)
     best, without_gain = None, 0
     while 2 * len(trials) + 2 <= max(model_orders) and without_gain < PATIENCE:
@@ -194,10 +194,8 @@ def _pursued(
         if step is None:
             break
         step = refine(step, data, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
-        erred = () if of_forces is None else force_errors(step, shop.data, quiet, of_forces)
-        if erred:
-            data = less(shop.data, erred)
-            step = refine(step_at(step.parameters, data), data, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
+        if of_forces is not None:
+            step, data, _ = by_turns(step, shop.data, acting, of_forces, GROWS_ON)
         errors = []
         for fold, blocks in enumerate(scored):
             start = step_at(step.parameters, data, held_out=fold)
