@@ -46,25 +46,40 @@ TOLD = 1e-6
 
 
 def forces_told(
-    plain: Weighted, acting: Sequence[BoolArray], variances: FloatArray, least_gain: float
+    step: RefinementStep,
+    data: OutputError,
+    told: OutputError,
+    *,
+    acting: Sequence[BoolArray],
+    variances: FloatArray,
+    least_gain: float,
 ) -> tuple[Weighted, tuple[FloatArray, ...]]:
-    """Refined with the likeliest forces, by turns until neither moves.
+    """Weighted, with the likeliest forces by turns until neither moves.
 
     Args:
-        plain: the model, and data with forces as they were measured.
+        step: the model.
+        data: with forces as they were measured.
+        told: the same with the likeliest ones so far, to which the model was fitted.
         acting: (n_samples,) a record, True where a blow acts.
-        variances: (n_records, n_inputs) of the noise of the forces, in units before `plain` divided each record.
+        variances: (n_records, n_inputs) of the noise of the forces, of the data.
         least_gain: relative decrease of the error by a step below which it is the last.
 
     Returns:
-        The model, and (n_samples, n_inputs) a record, what the forces erred by, in the same units; as it was and none
-        where what is left is larger than noise of the sensors makes it.
+        The model, and (n_samples, n_inputs) a record, what the forces of the data erred by; none where what is left is
+        larger than noise of the sensors makes it, and then forces are as they were measured.
     """
-    variances = variances / np.square(plain.record_scale)[:, np.newaxis]
-    step, data, errors = by_turns(plain.step, plain.data, acting, variances, least_gain, weights=plain.weights)
-    if not errors:
+    plain = weighted(step, told, least_gain)
+    if not variances.any():
         return plain, ()
-    settled = weighted(step, data, least_gain)
+    triples = zip(plain.data.records, data.records, plain.record_scale, strict=True)
+    records = tuple(replace(one, inputs=own.inputs / size) for one, own, size in triples)
+    own_variances = variances / np.square(plain.record_scale)[:, np.newaxis]
+    again, now, errors = by_turns(
+        plain.step, replace(plain.data, records=records), acting, own_variances, least_gain, weights=plain.weights
+    )
+    if not errors:
+        return weighted(step_at(step.parameters, data), data, least_gain), ()
+    settled = weighted(again, now, least_gain)
     erred = tuple(own * size for own, size in zip(errors, plain.record_scale, strict=True))
     return replace(settled, record_scale=plain.record_scale * settled.record_scale), erred
 
@@ -94,7 +109,7 @@ def by_turns(
     """
     now, told = step, data
     errors: tuple[FloatArray, ...] = ()
-    for _ in range(TURNS if variances.any() else 0):
+    for _ in range(TURNS if variances.any() and step.layout.n_poles else 0):
         errors = _errors(now, data, [~rows for rows in acting], variances)
         if not errors:
             return step, data, ()

@@ -16,6 +16,7 @@ that it has: then it is the maximum-likelihood estimate for noise on the outputs
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import islice, pairwise
 
 import numpy as np
@@ -53,7 +54,7 @@ from modal.estimation.output_error import (
     without_what_moves_between_samples,
 )
 from modal.estimation.prediction_error import NOISE_FREE
-from modal.estimation.weights import UNTIL_STILL, struck_apart, weighted, whiteness_ratio
+from modal.estimation.weights import UNTIL_STILL, struck_apart, whiteness_ratio
 from modal.identification.order_search import Search, as_good, significantly_worse
 from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
@@ -486,25 +487,26 @@ def refined_model(
         return None
     weights = np.eye(start.n_outputs)
     most = UNTIL_STILL if n_steps == MOST_STEPS else n_steps
+    struck = bool(acting) and not measured and n_steps == MOST_STEPS
+    of_forces = at_rest / np.square(scaling.input_scale) if struck else np.zeros_like(at_rest)
+    turns = partial(by_turns, data=data, acting=acting, variances=of_forces, least_gain=GROWS_ON)
     last = refine(first, data, n_steps=most, least_gain=least_gain)[-1] if start.order else first
+    last, told, _ = turns(last)
     for i in range(weak_modes):
         driven: Proposal = "observer" if i < weak_modes - answers else "answer"
-        larger = with_weak_mode(last, data, by="blow" if by == "rows" else driven)
-        last = last if larger is None else refine(larger, data, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
-    last = refine(last, data, n_steps=most, least_gain=least_gain)[-1] if weak_modes else last
+        larger = with_weak_mode(last, told, by="blow" if by == "rows" else driven)
+        last = last if larger is None else refine(larger, told, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
+        last, told, _ = turns(last)
+    last = refine(last, told, n_steps=most, least_gain=least_gain)[-1] if weak_modes else last
     if n_steps == MOST_STEPS and records[0].input_hold == "band_limited":
-        between = without_what_moves_between_samples(last, data)
-        other = refine(step_at(last.parameters, between), between, n_steps=most, least_gain=least_gain)[-1]
-        if other.error < last.error:  # else the inputs were held, whatever was said of them
-            last, data = other, between
+        last, data, told = _held_or_not(last, data, told, least_gain)
     ratio, record_scale = whiteness_ratio(last, data), np.ones(len(records))
     forces_erred: tuple[FloatArray, ...] = ()
-    struck = bool(acting) and not measured
     if n_steps == MOST_STEPS and (start.n_outputs > 1 or len(records) > 1 or struck):
-        likeliest = weighted(last, data, least_gain)
+        likeliest, forces_erred = forces_told(
+            last, data, told, acting=acting, variances=of_forces, least_gain=least_gain
+        )
         if struck:
-            of_forces = at_rest / np.square(scaling.input_scale)
-            likeliest, forces_erred = forces_told(likeliest, acting, of_forces, least_gain)
             likeliest = struck_apart(likeliest, acting, least_gain)
         own_ratio = whiteness_ratio(likeliest.step, likeliest.data)
         if own_ratio <= WHITE or by == "rows":
@@ -534,6 +536,19 @@ def refined_model(
         at_rest=at_rest / np.square(scaling.input_scale * record_scale[:, np.newaxis]),
         forces_erred=tuple(own * scaling.input_scale for own in forces_erred),
     )
+
+
+def _held_or_not(
+    step: RefinementStep, data: OutputError, told: OutputError, least_gain: float
+) -> tuple[RefinementStep, OutputError, OutputError]:
+    """The model and both data less what inputs do between samples; as they were where inputs were held after all."""
+    between = without_what_moves_between_samples(step, told)
+    other = refine(step_at(step.parameters, between), between, n_steps=UNTIL_STILL, least_gain=least_gain)[-1]
+    if other.error >= step.error:
+        return step, data, told
+    pairs = zip(data.records, between.records, strict=True)
+    records = tuple(replace(own, outputs=one.outputs) for own, one in pairs)
+    return other, replace(data, records=records), between
 
 
 def _even_blocks(records: Sequence[Record]) -> list[list[list[tuple[int, int]]]]:
