@@ -47,8 +47,10 @@ PAIRS = 4
 """and go on from so many of the nearest to the record."""
 AGAIN = 2
 """Fit a description so often in the noise that it leaves,"""
+ROUNDING = np.sqrt(np.finfo(float).eps)
+"""Nudge parameters by this of themselves, or of one, for differences in white noise,"""
 NUDGE = 1e-7
-"""by differences of so many of the steps in which parameters are counted."""
+"""and in other noise by so many of the steps in which parameters are counted."""
 MODE = np.array([True] * 3 + [False] * 7)
 """Parameters of one linear mode: angular frequency, damping ratio, phase;"""
 STEPS = tuple(np.array([True] * n + [False] * (10 - n)) for n in (4, 7, 10))
@@ -72,18 +74,42 @@ def motion(parameters: FloatArray, times: FloatArray) -> tuple[FloatArray, Float
             q, k3, k4.
         times: (n,) rising, in the unit of the frequency's inverse.
     """
+    place, velocity, acceleration = motions(parameters[np.newaxis], times)
+    return place[0], velocity[0], acceleration[0]
+
+
+def motions(parameters: FloatArray, times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Displacement, velocity and acceleration (n_trials, n) of as many oscillators (n_trials, n_parameters)."""
+    arcs, rows = [], []
+    for one in parameters:
+        own = _arcs(one, float(times[0]), float(times[-1]))
+        ends = np.searchsorted(times, [arc[0] for arc in own[1:]] + [np.inf])
+        arcs += own
+        rows += [ends[:1], ends[1:] - ends[:-1]]
+    table = np.repeat(np.array(arcs).T, np.concatenate(rows), axis=1).reshape(7, len(parameters), len(times))
+    begun, around, place, speed, angulars, decays, turns = table
+    since = times - begun
+    angle = turns * since
+    cosine, sine, shrunk = np.cos(angle), np.sin(angle) / turns, np.exp(-decays * since)
+    away = shrunk * (place * cosine + (speed + decays * place) * sine)
+    velocity = shrunk * (speed * cosine - (decays * speed + angulars**2 * place) * sine)
+    return around + away, velocity, -(angulars**2) * away - 2.0 * decays * velocity
+
+
+def _arcs(parameters: FloatArray, first: float, last: float) -> list[tuple[float, ...]]:
+    """From turn to turn: when it begins, the centre, the distance from it, the speed, w, decay [1/sample] and w_d."""
     slowest, ratio, phase, friction, drag, bend, more, drags, third, fourth = parameters.tolist()
 
     def half_cycle(size: float) -> tuple[float, float, float]:
         bent = 1.0 + size * (bend + size * (more + size * (third + size * fourth)))
+        angular = slowest * (bent if bent > LEAST_TURNING else LEAST_TURNING)  # noqa: FURB136 - half the time of max
         damping = ratio + size * (drag + size * drags)
-        angular = slowest * max(bent, LEAST_TURNING)
-        damping = min(max(damping, 0.0), MOST_DAMPED)
+        damping = (damping if damping < MOST_DAMPED else MOST_DAMPED) if damping > 0.0 else 0.0  # noqa: FURB136
         return angular, damping * angular, angular * math.sqrt(1.0 - damping * damping)
 
     base = half_cycle(1.0)[0]
-    t, x, v = float(times[0]), math.cos(phase), -base * math.sin(phase)
-    arcs = []
+    t, x, v = first, math.cos(phase), -base * math.sin(phase)
+    arcs: list[tuple[float, ...]] = []
     if v:  # until the speed is zero
         angular, decay, turning = half_cycle(1.0)
         centre = math.copysign(friction, -v)
@@ -93,7 +119,6 @@ def motion(parameters: FloatArray, times: FloatArray) -> tuple[FloatArray, Float
         turned = math.atan2(abs(v), math.copysign(against, against * v))
         pulled = off * math.cos(turned) + (v + decay * off) / turning * math.sin(turned)
         x, t = centre + math.exp(-decay * turned / turning) * pulled, t + turned / turning
-    last = float(times[-1])
     while t <= last:
         size = abs(x)
         if size <= friction:  # the spring no longer moves it
@@ -101,18 +126,11 @@ def motion(parameters: FloatArray, times: FloatArray) -> tuple[FloatArray, Float
             break
         angular, decay, turning = half_cycle(size)
         centre = math.copysign(friction, x)
-        arcs.append((t, centre, x - centre, 0.0, angular, decay, turning))
+        off = x - centre
+        arcs.append((t, centre, off, 0.0, angular, decay, turning))
         half = math.pi / turning
-        x, t = centre - (x - centre) * math.exp(-decay * half), t + half
-    table = np.array(arcs)
-    begun, around, place, speed, angulars, decays, turns = table[
-        np.searchsorted(table[:, 0], times, side="right") - 1
-    ].T
-    since = times - begun
-    cosine, sine, shrunk = np.cos(turns * since), np.sin(turns * since) / turns, np.exp(-decays * since)
-    away = shrunk * (place * cosine + (speed + decays * place) * sine)
-    velocity = shrunk * (speed * cosine - (decays * speed + angulars**2 * place) * sine)
-    return around + away, velocity, -(angulars**2) * away - 2.0 * decays * velocity
+        x, t = centre - off * math.exp(-decay * half), t + half
+    return arcs
 
 
 def level_after(parameters: FloatArray, times: FloatArray) -> float:
@@ -121,16 +139,16 @@ def level_after(parameters: FloatArray, times: FloatArray) -> float:
     return float(np.abs(x[times >= times[-1] - 2 * np.pi / parameters[0]]).max())
 
 
-def _longer(decay: Decay) -> list[int]:
-    """Numbers of rows, rising: over all of a record a frequency that is off by half a cycle leads nowhere."""
+def _longer(decay: Decay) -> list[Decay]:
+    """More and more of its rows: over all of a record a frequency that is off by half a cycle leads nowhere."""
     numbers = [len(decay.times)]
     while numbers[-1] > FEWEST and decay.times[numbers[-1] - 1] > FIRST * 2 * np.pi / decay.turns:
         numbers.append(max(FEWEST, numbers[-1] // 2))
-    return numbers[::-1]
+    return [decay.first(n) for n in numbers[::-1]]
 
 
 Columns = Callable[[FloatArray, FloatArray], FloatArray]
-"""Of parameters and times (n,): (n, n_columns)."""
+"""Of parameters (n_trials, n_parameters) and times (n,): (n_trials, n, n_columns)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -161,6 +179,13 @@ class Contender:
         return self.misfit + (self.n_free + self.n_noise) * float(np.log(decay.told.sum()))
 
 
+def _tried(values: FloatArray, free: BoolArray, moved: FloatArray, nudges: FloatArray) -> FloatArray:
+    """(1 + n_free, n_parameters) parameters where those that are free moved, then with each nudged besides."""
+    trials = np.tile(values, (1 + len(moved), 1))
+    trials[:, free] = moved + np.vstack([np.zeros(len(moved)), np.diag(nudges)])
+    return trials
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Law:
     """A description of a decay: its columns, the bounds of its parameters, and the modes that are shaken."""
@@ -171,7 +196,12 @@ class _Law:
 
     def left(self, decay: Decay, values: FloatArray) -> FloatArray:
         """As `Decay.left`."""
-        return decay.left(self.columns(values, decay.times))
+        left: FloatArray = self.left_of_each(decay, values[np.newaxis])[0]
+        return left
+
+    def left_of_each(self, decay: Decay, trials: FloatArray) -> FloatArray:
+        """As `Decay.left_of_each`, of parameters (n_trials, n_parameters)."""
+        return decay.left_of_each(self.columns(trials, decay.times))
 
     def fitted(self, decay: Decay, start: FloatArray, free: BoolArray) -> tuple[float, FloatArray]:
         """Squared error and parameters after a fit of those that are free, in white noise."""
@@ -181,10 +211,18 @@ class _Law:
             values[free] = moved
             return self.left(decay, values).ravel()
 
+        def slopes(moved: FloatArray) -> FloatArray:
+            nudges = ROUNDING * np.where(moved < 0.0, -1.0, 1.0) * np.maximum(1.0, np.abs(moved))
+            nudges = np.where((moved + nudges < low) | (moved + nudges > high), -nudges, nudges)
+            nudges = (moved + nudges) - moved
+            base, *each = self.left_of_each(decay, _tried(values, free, moved, nudges))
+            return np.array([(one - base).ravel() / nudge for one, nudge in zip(each, nudges, strict=True)]).T
+
         low, high = self._within(free)
         fit = scipy.optimize.least_squares(
             left,
             np.clip(start[free], low + 1e-9, high - 1e-9),
+            jac=slopes,
             bounds=(low, high),
             x_scale=self._steps(free),
             max_nfev=50,
@@ -205,7 +243,7 @@ class _Law:
 
     def innovations(self, decay: Decay, values: FloatArray, noise: FloatArray) -> FloatArray:
         """As `Decay.innovations`."""
-        return decay.innovations(self.columns(values, decay.times), self.modes(values), noise)
+        return decay.innovations(self.columns(values[np.newaxis], decay.times)[0], self.modes(values), noise)
 
     def criterion(self, decay: Decay, values: FloatArray, free: BoolArray) -> float:
         """Schwarz's in white noise, but for the sizes."""
@@ -224,18 +262,21 @@ class _Law:
         steps = np.concatenate([self._steps(free), np.tile([1.0, 0.3], n_shaken)])
         size: FloatArray = np.ones(len(noise))
 
-        def innovations(moved: FloatArray) -> FloatArray:
+        def innovations(moved: FloatArray, columns: FloatArray | None = None) -> FloatArray:
             values[free], noise[shaken] = moved[:n_free], moved[n_free:].reshape(-1, 2)
-            return self.innovations(decay, values, noise) / size
+            if columns is None:
+                return self.innovations(decay, values, noise) / size
+            return decay.innovations(columns, self.modes(values), noise) / size
 
         def slopes(moved: FloatArray) -> FloatArray:
-            base, found = innovations(moved), np.zeros((*decay.seen.shape, n))
             nudges = np.where(moved + NUDGE * steps > high, -NUDGE, NUDGE) * steps
-            for i in range(n_free):
-                found[..., i] = (innovations(moved + nudges * (np.arange(n) == i)) - base) / nudges[i]
+            columns, *each = self.columns(_tried(values, free, moved[:n_free], nudges[:n_free]), decay.times)
+            base, found = innovations(moved, columns), np.zeros((*decay.seen.shape, n))
+            for i, one in enumerate(each):
+                found[..., i] = (innovations(moved + nudges * (np.arange(n) == i), one) - base) / nudges[i]
             for first in (n_free, n_free + 1) if n_shaken else ():  # noise of one output is nothing to the others
                 own = np.arange(first, n, 2)
-                moves = innovations(moved + nudges * np.isin(np.arange(n), own)) - base
+                moves = innovations(moved + nudges * np.isin(np.arange(n), own), columns) - base
                 found[:, np.flatnonzero(shaken), own] = moves[:, shaken] / nudges[own]
             return found.reshape(-1, n)
 
@@ -263,7 +304,8 @@ class _Law:
 
 def oscillator_of(decay: Decay, linear: FloatArray, one: Contender) -> Contender | None:
     """The oscillator; None where it leaves far more than `linear` (n, n_outputs), which a linear model leaves."""
-    fits = [fit for reading in range(3) if (fit := _fitted(decay, reading, STEPS, linear))]
+    parts = _longer(decay)
+    fits = [fit for reading in range(3) if (fit := _fitted(parts, reading, STEPS, linear))]
     if not fits:
         return None
     best = [(law, *min(tried, key=lambda one: law.criterion(decay, *one))) for law, tried in fits]
@@ -280,7 +322,7 @@ def oscillator_of(decay: Decay, linear: FloatArray, one: Contender) -> Contender
 
 def mode_of(decay: Decay) -> tuple[Decay, Contender]:
     """The one mode that the oscillator is where nothing depends on its level; and the colour of the noise besides."""
-    fitted = _fitted(decay, 0, (MODE,), None)
+    fitted = _fitted(_longer(decay), 0, (MODE,), None)
     assert fitted is not None  # nothing was asked of it
     law, ((values, free),) = fitted
     last, ringing = decay.last(len(decay.times) // 2), _linear(1)
@@ -290,25 +332,33 @@ def mode_of(decay: Decay) -> tuple[Decay, Contender]:
 
 
 def _fitted(
-    decay: Decay, reading: int, steps: tuple[BoolArray, ...], linear: FloatArray | None
+    parts: list[Decay], reading: int, steps: tuple[BoolArray, ...], linear: FloatArray | None
 ) -> tuple[_Law, list[tuple[FloatArray, BoolArray]]] | None:
     """Of displacement, velocity or acceleration, which are one for a mode; with more numbers where few are too few.
 
     None as soon as more is left than `CLOSELY` times what a linear model leaves in the same rows.
 
+    Args:
+        parts: more and more of the rows, at last all.
+        reading: of the three, counted from 0.
+        steps: which parameters are free, one after the other.
+        linear: (n, n_outputs) what a linear model leaves, or None.
+
     Returns:
         The law, its parameters and which are free.
     """
+    decay = parts[-1]
     law = _law(decay, reading)
-    parts = [decay.first(n) for n in _longer(decay)]
-    starts = [
-        np.array([decay.turns, damping, phase, friction, *np.zeros(6)])
-        for friction in (FRICTIONS if linear is not None else (0.0,))
-        for damping in DAMPINGS
-        for phase in 2 * np.pi * np.arange(PHASES) / PHASES
-    ]
-    tried = [float(np.square(law.left(parts[0], one)).sum()) for one in starts]
-    values = starts[int(np.argmin(tried))]
+    starts = np.array(
+        [
+            [decay.turns, damping, phase, friction, *np.zeros(6)]
+            for friction in (FRICTIONS if linear is not None else (0.0,))
+            for damping in DAMPINGS
+            for phase in 2 * np.pi * np.arange(PHASES) / PHASES
+        ]
+    )
+    lefts = [law.left_of_each(parts[0], some) for some in starts.reshape(-1, PHASES, starts.shape[1])]
+    values = starts[int(np.argmin([np.square(left).sum() for some in lefts for left in some]))]
     found = []
     for part in parts:
         most = np.inf if linear is None else CLOSELY**2 * float(np.square(linear[: len(part.times)][part.there]).sum())
@@ -328,7 +378,7 @@ def _law(decay: Decay, reading: int) -> _Law:
     """The oscillator, of which displacement, velocity or acceleration is seen."""
     bent = [MOST_BENT] * 5
     return _Law(
-        columns=lambda values, times: motion(values, times)[reading][:, np.newaxis],
+        columns=lambda trials, times: motions(trials, times)[reading][..., np.newaxis],
         bounds=(
             np.array([0.5 * decay.turns, 0.0, -np.inf, 0.0, 0.0, *(-value for value in bent)]),
             np.array([1.5 * decay.turns, HEAVIEST, np.inf, 0.5, MOST_BENT, *bent]),
@@ -340,7 +390,7 @@ def _law(decay: Decay, reading: int) -> _Law:
 def _linear(n_modes: int) -> _Law:
     """Modes, each an angular frequency [rad/sample] and a damping ratio, free in every output."""
     return _Law(
-        columns=lambda values, times: waves(values.reshape(-1, 2), times),
+        columns=lambda trials, times: waves(trials.reshape(len(trials), -1, 2), times),
         bounds=(np.zeros(2 * n_modes), np.tile([np.pi, HEAVIEST], n_modes)),
         modes=lambda values: values.reshape(-1, 2),
     )
@@ -359,10 +409,10 @@ def two_modes_of(decay: Decay, one: FloatArray) -> Contender:
     beside = strongest_line(decay.times, np.where(decay.there, decay.left(waves(one[np.newaxis], decay.times)), np.nan))
     light = max(one[1], 1.0 / (turns * span))
     seconds = [(beside, light), (turns * (1.0 + 0.5 * light), 3.0 * light), (turns + np.pi / span, light)]
-    law, free, fits = _linear(2), np.ones(4, dtype=np.bool_), []
+    law, free, fits, parts = _linear(2), np.ones(4, dtype=np.bool_), [], _longer(decay)
     for second in seconds:
         values = np.array([one, second]).ravel()
-        for part in (decay.first(n) for n in _longer(decay)):
+        for part in parts:
             _, values = law.fitted(part, values, free)
         fits.append(values)
     width = max(light * turns, np.pi / span)
@@ -380,10 +430,11 @@ def two_modes_of(decay: Decay, one: FloatArray) -> Contender:
 
 
 def waves(modes: FloatArray, times: FloatArray) -> FloatArray:
-    """(n, 2 n_modes) cosines and sines that die away, of angular frequencies and damping ratios (n_modes, 2)."""
-    angular, ratio = modes.T
-    rings = np.exp((-ratio + 1j * np.sqrt(1.0 - ratio**2)) * angular * times[:, np.newaxis])
-    return np.hstack([rings.real, rings.imag])
+    """(..., n, 2 n_modes) cosines and sines that die away, of angular frequencies and damping (..., n_modes, 2)."""
+    angular, ratio = modes[..., 0], modes[..., 1]
+    poles = (-ratio + 1j * np.sqrt(1.0 - ratio**2)) * angular
+    rings = np.exp(poles[..., np.newaxis, :] * times[:, np.newaxis])
+    return np.concatenate([rings.real, rings.imag], axis=-1)
 
 
 def exponentials(poles: ComplexArray, times: FloatArray) -> FloatArray:

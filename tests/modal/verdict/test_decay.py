@@ -123,6 +123,22 @@ def test_an_output_that_falls_silent_takes_no_other_away(last):
     assert contest_of([okid.Record([], gone, 0.05)], [np.where(np.isnan(gone), np.nan, left)]).bent is None
 
 
+@pytest.mark.parametrize("gaps", [False, True])
+def test_columns_side_by_side_leave_what_each_leaves_by_itself(gaps):
+    rng = np.random.default_rng(6)
+    seen, beside = rng.standard_normal((200, 3)), rng.standard_normal((200, 2))
+    seen[100:130, 1] = np.nan if gaps else 0.0
+    columns = rng.standard_normal((4, 200, 2))
+    found = Decay.of(np.arange(200.0), seen, beside).left_of_each(columns)
+    for i, own in enumerate(columns):
+        everything = np.column_stack([np.ones(200), beside, own])
+        for output in range(3):
+            rows = np.isfinite(seen[:, output])
+            sizes = np.linalg.lstsq(everything[rows], seen[rows, output], rcond=None)[0]
+            left = np.where(rows, seen[:, output] - everything @ sizes, 0.0)
+            assert found[i, :, output] == pytest.approx(left, abs=1e-12)
+
+
 def test_the_copy_of_an_output_is_no_other_direction():
     """What its difference from the first has is rounding, which outweighed all else: no few modes came near."""
     times = 0.05 * np.arange(400)

@@ -15,7 +15,7 @@ import okid
 from modal.modes.mode import ModalModel, Mode
 from modal.sections.words import next_sentences
 from modal.verdict import ring_down
-from modal.verdict.oscillator import motion
+from modal.verdict.oscillator import motion, motions
 from modal.verdict.ring_down import LATER, RINGS, RingDown, carried, contest_of, told_of_ring_down
 
 DT = 0.02
@@ -112,6 +112,18 @@ def test_the_half_cycles_are_those_of_the_equation():
     assert np.abs(np.gradient(place)[1:-1] - speed[1:-1]).max() < 2e-3
     slides = np.abs(np.diff(acceleration)) < 0.005  # not across a reversal
     assert np.abs((np.gradient(speed) - acceleration)[:-1][slides][1:-1]).max() < 2e-3
+
+
+def test_oscillators_side_by_side_are_each_by_itself():
+    """One begins at rest, one comes to rest, one turns more often than the others."""
+    times = np.delete(np.arange(300.0), [40, 41, 170])
+    laws = np.zeros((4, 10))
+    laws[:, 0], laws[:, 1], laws[:, 2] = (0.16, 0.2, 0.17, 0.31), 0.004, (0.3, np.pi / 2, 0.0, 2.0)
+    laws[1, 3:6], laws[2, 3], laws[3, 4:] = (0.9, 0.1, 0.1), 0.05, 0.05
+    together = motions(laws, times)
+    alone = [motion(law, times) for law in laws]
+    assert np.ptp(alone[2][0][-50:]) == 0.0
+    np.testing.assert_array_equal(together, np.swapaxes(alone, 0, 1))
 
 
 def test_drag_is_told():
