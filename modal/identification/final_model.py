@@ -41,7 +41,7 @@ from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import Choice, ModalModel, Uncertainty
 from modal.preparation.steps import Preparation
 from modal.verdict.repeatability import ORDER_SHARES
-from okid.arrays import BoolArray, FloatArray
+from okid.arrays import TINY, BoolArray, FloatArray
 from okid.errors import InsufficientDataError, NumericalError, quiet
 from okid.markov import MarkovParameters, recover_markov
 from okid.observer import ObserverFit, fit_observer
@@ -348,20 +348,25 @@ def with_noise(
     return replace(made, noise=noise, why=why, gain=gain, realisation=likeliest)
 
 
-def with_forces(preparation: Preparation, final: FinalModel) -> Preparation:
-    """With the likeliest forces, where what follows a blow tells them."""
-    if final.refined is None or not final.refined.forces_erred:
-        return preparation
-    erred = np.sqrt(np.mean([np.square(own[own != 0.0]).mean() for own in final.refined.forces_erred if own.any()]))
-    largest = max(float(np.abs(record.inputs).max()) for record in preparation.records)
+def with_forces(preparation: Preparation, final: FinalModel) -> tuple[Preparation, FinalModel]:
+    """With the likeliest forces, where what follows a blow tells them; and told how their sensors err."""
+    if final.refined is None:
+        return preparation, final
+    final = replace(final, refined=final.refined.told_at_rest(preparation.at_rest))
+    assert final.refined is not None
+    if not final.refined.forces_erred:
+        return preparation, final
+    errors, forces = (np.vstack(own) for own in (final.refined.forces_erred, [r.inputs for r in preparation.records]))
+    size = np.sqrt(np.square(errors).sum(axis=0) / np.maximum(1, (errors != 0.0).sum(axis=0)))
     told = Choice(
         what="force while a blow acts",
         value="told with what follows",
         reason="its sensor errs then as it does at rest, so each blow's answer is off by a little of its own: the "
-        f"force that is likeliest for both differs by {100.0 * erred / largest:.2g} % of its largest",
+        "force that is likeliest for both differs by "
+        f"{100.0 * (size / np.maximum(np.nanmax(np.abs(forces), axis=0), TINY)).max():.2g} % of its largest",
     )
     records = final.refined.with_forces(preparation.records)
-    return replace(preparation, records=records, choices=(*preparation.choices, told))
+    return replace(preparation, records=records, choices=(*preparation.choices, told)), final
 
 
 def lack_outputs(measured: Sequence[BoolArray]) -> bool:

@@ -268,7 +268,7 @@ def _with_delays(
             found = refined_search(
                 found,
                 acting=struck,
-                at_rest=preparation.at_rest,
+                at_rest=preparation.white_at_rest,
                 progress=lambda done: tell("refining on held-out rows", 0.25 + 0.15 * done),
             )
         tell("fitting all rows", FITTING)
@@ -285,18 +285,18 @@ def _with_delays(
                 feedback=suspected,
                 measured=measured,
                 acting=struck,
-                at_rest=preparation.at_rest,
+                at_rest=preparation.white_at_rest,
                 progress=lambda done: tell("fitting all rows", FITTING + (FITTED - FITTING) * done),
             )
 
         taken, final = fitted(preparation.records)
-        preparation = with_forces(preparation, final)
         if measured:
             again = refilled(preparation.records, preparation.measured, final.realisation)
             preparation = replace(preparation, records=again)
             # a model of its noise needs every sample, as the model leaves it
             if not (final.leaves_nearly_white or lack_outputs(measured)):
                 taken, final = fitted(again)
+        preparation, final = with_forces(preparation, final)
         asked = refinement == "auto" and kind_found.kind == "driven" and not suspected
         asked = asked and not (measured and final.leaves_nearly_white)
         white, final = _in_white(

@@ -426,6 +426,10 @@ class RefinedModel:
         pairs = zip(records, self.forces_erred, strict=True) if self.forces_erred else ()
         return tuple(replace(one, inputs=one.inputs - own) for one, own in pairs) or tuple(records)
 
+    def told_at_rest(self, variances: FloatArray) -> "RefinedModel":
+        """The model that knows (n_records, n_inputs) variances of its inputs' noise, in the units of the records."""
+        return replace(self, at_rest=variances / np.square(self.scaling.input_scale * self.record_scale[:, np.newaxis]))
+
     def as_fitted(self, records: Sequence[Record]) -> tuple[Record, ...]:
         """The records of the model without what their inputs, moving between samples, do beside it."""
         return tuple(
@@ -469,7 +473,7 @@ def refined_model(
         by: "rows" where a few blows drive the records: even blocks hold all of an answer or nothing.
         measured: (n_samples, n_outputs) a record, False where a sample was filled; none where all were measured.
         acting: (n_samples,) a record, True where one of a few blows acts.
-        at_rest: (n_records, n_inputs) variances of the inputs' noise where a force window took it off.
+        at_rest: (n_records, n_inputs) variances of the inputs' noise where a force window took it off, if it is white.
     """
     scaling = channel_scaling(records)
     at_rest = np.zeros((len(records), start.n_inputs)) if at_rest is None else at_rest

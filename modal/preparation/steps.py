@@ -87,6 +87,12 @@ class Preparation:
         return self.measured if driven and holds_filled(self.records, self.measured) else ()
 
     @property
+    def white_at_rest(self) -> FloatArray:
+        """`at_rest` where that noise is white and nothing stands in other rows; not decimated, nor less a drift."""
+        white = self.records[0].dt < 1.5 * self.mended[0].dt and not self.n_slow_functions
+        return self.at_rest if white else np.zeros_like(self.at_rest)
+
+    @property
     def n_values(self) -> int:
         """Output samples that a model is fitted to: in whole rows, or where they were measured; none of rest."""
         there = self.measured_if_filled or [
