@@ -6,6 +6,7 @@ and of the wind before and after it (Strang's splitting), in two outputs with a 
 
 import numpy as np
 import pytest
+import scipy.signal
 
 import okid
 from modal.verdict.decay import COLOUR, Decay, colour_of, directions, predictor
@@ -137,6 +138,19 @@ def test_columns_side_by_side_leave_what_each_leaves_by_itself(gaps):
             sizes = np.linalg.lstsq(everything[rows], seen[rows, output], rcond=None)[0]
             left = np.where(rows, seen[:, output] - everything @ sizes, 0.0)
             assert found[i, :, output] == pytest.approx(left, abs=1e-12)
+
+
+def test_only_the_past_is_filtered():
+    rng = np.random.default_rng(8)
+    times = np.delete(np.arange(60.0), [20, 21])
+    (alike,) = Decay.of(times, rng.standard_normal((58, 1)), np.zeros((58, 0))).outputs
+    above, below = np.array([[1.0, -1.5, 0.9], [1.0, 0.2, 0.1]]), np.array([[1.0, -1.6, 0.8], [1.0, 0.3, -0.2]])
+    values, colour, even = rng.standard_normal((58, 2)), np.array([1.0, -0.4, 0.0, 0.2]), np.zeros((60, 2))
+    even[times.astype(int)] = values
+    whole = scipy.signal.lfilter(
+        np.convolve(np.convolve(*above), colour), np.convolve(*below), even, axis=0
+    )[times.astype(int)]  # fmt: skip
+    assert alike.filtered(above, below, colour, values) == pytest.approx(whole, abs=1e-12)
 
 
 def test_the_copy_of_an_output_is_no_other_direction():
