@@ -134,7 +134,7 @@ def _next(rows: BoolArray, n: int) -> BoolArray:
 def _louder(errors: Sequence[FloatArray], rows: Sequence[BoolArray], *, than: Sequence[BoolArray]) -> bool:
     """Whether noise of another, larger size there is likelier than of one size there and in the others (Schwarz)."""
     (n, times), n_others = _size(errors, rows, than=than), sum(int(there.sum()) for there in than)
-    if min(n, n_others) <= times.size:
+    if not (n and n_others):
         return False
     pooled = (n * times + n_others) / (n + n_others)
     gain = (n + n_others) * np.log(pooled) - n * np.log(times)

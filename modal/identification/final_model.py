@@ -26,7 +26,7 @@ from modal.estimation.cross_validation import (
 )
 from modal.estimation.fits import fit_of, model_runs
 from modal.estimation.free_run import modal_form, one_step_predictor
-from modal.estimation.modal_parameters import errors_of, in_data_states
+from modal.estimation.modal_parameters import in_data_states
 from modal.estimation.propagation import propagated
 from modal.identification.covariance import NOT_UNDERSTOOD, judged_deviations
 from modal.identification.information import innovation_uncertainty
@@ -40,13 +40,14 @@ from modal.modes.extraction import extract_modes
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import Choice, ModalModel, Uncertainty
 from modal.preparation.steps import Preparation
+from modal.verdict.filled import seen_alone
 from modal.verdict.repeatability import ORDER_SHARES
 from okid.arrays import TINY, BoolArray, FloatArray
 from okid.errors import InsufficientDataError, NumericalError, quiet
 from okid.markov import MarkovParameters, recover_markov
 from okid.observer import ObserverFit, fit_observer
 from okid.record import Record
-from okid.residuals import NOT_WHITE
+from okid.residuals import NOT_WHITE, WHITENESS_LAGS, whiteness_of_each
 
 Feedback = Literal["none", "harmless", "biasing"]
 
@@ -93,25 +94,33 @@ class FinalModel:
 
     @property
     def apart(self) -> tuple[BoolArray, ...]:
-        """(n_samples, n_outputs) a record, False while a blow errs by itself; none beside colour."""
-        if self.refined is None or self.refined.data.elsewhere == 0.0 or not self.leaves_nearly_white:
-            return ()
-        return self.refined.data.measured
+        """(n_samples, n_outputs) a record, False while a blow errs by itself; none where all rows count alike."""
+        struck = self.refined is not None and self.refined.data.elsewhere > 0.0
+        return self.refined.data.measured if self.refined is not None and struck else ()
 
-    def seen(self, left: Sequence[FloatArray], measured: Sequence[BoolArray]) -> list[FloatArray] | None:
-        """(n_samples, n_outputs) a record: what is left of samples that count alike; None where all do.
+    def seen(
+        self, left: Sequence[FloatArray], records: Sequence[Record], measured: Sequence[BoolArray]
+    ) -> list[FloatArray] | None:
+        """(n_samples, n_outputs) a record: white errors of samples that count alike; None where all do.
 
         Args:
             left: by the free run.
-            measured: the same shape, False where a sample was filled; none where all were measured.
+            records: of which it is left.
+            measured: (n_samples, n_outputs) a record, False where a sample was filled; none where all were measured.
 
         Returns:
-            NaN where a sample counts less or not at all; nothing where what is left is coloured.
+            NaN where a sample counts less or not at all: what the free run leaves of filled records, else one step
+            ahead. Nothing where that is coloured.
         """
         if measured:
             pairs = zip(left, measured, strict=True) if self.leaves_nearly_white else ()
             return [np.where(there, one, np.nan) for one, there in pairs]
-        return errors_of(self.refined.step, self.refined.data) if self.refined is not None and self.apart else None
+        if self.refined is None or not self.apart:
+            return None
+        runs = model_runs(self.realisation, self.refined.as_fitted(records))
+        asked = zip(seen_alone(runs.records, self.apart), runs.predicted, strict=True)
+        errors = [one.outputs - run.outputs for one, run in asked]
+        return [] if whiteness_of_each(errors, n_lags=WHITENESS_LAGS) > NOT_WHITE else errors
 
     @property
     def leaves_nearly_white(self) -> bool:

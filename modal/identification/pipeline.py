@@ -486,7 +486,7 @@ def _identified(
                 modes=modes,
                 excitation=excitation if by_inputs else None,
                 residuals=innovations if searched.chosen.grew and innovations else residuals,
-                seen=final.seen(left, preparation.measured_if_filled),
+                seen=final.seen(left, prepared, preparation.measured_if_filled),
                 found=searched,
                 powers=powers,
             ),

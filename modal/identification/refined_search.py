@@ -121,9 +121,9 @@ def refined_search(
     shop = _Workshop(ground=found.ground, data=output_error_data(found.ground), largest_order=max(orders) + 2)
     refined: dict[tuple[int, float, int], list[Trial]] = {}
     resting = found.ground.by == "rows" and all(begins_at_rest(record, FEW) for record in found.ground.scaled)
-    known = acting and at_rest is not None and not found.ground.measured
-    of_forces = at_rest / np.square(found.ground.scaling.input_scale) if known else None
-    pursued = _pursued(shop, first, found.limits.model_orders, acting, of_forces) if resting else []
+    of_forces = _noise_of_forces(shop.data, found.ground.scaling, acting, at_rest)
+    turns = partial(by_turns, data=shop.data, acting=acting, variances=of_forces, least_gain=GROWS_ON)
+    pursued = _pursued(shop, first, found.limits.model_orders, turns) if resting else []
     best, without_gain = min(found.trials[0].error, _least_error(pursued)), 0
     for i, n in enumerate(orders):
         refined[*first, n] = _trials(shop, (*first, n), hopeless=HOPELESS * best)
@@ -164,8 +164,7 @@ def _pursued(
     shop: _Workshop,
     observer: tuple[int, float],
     model_orders: Sequence[int],
-    acting: Sequence[BoolArray],
-    of_forces: FloatArray | None,
+    turns: Callable[[RefinementStep], tuple[RefinementStep, OutputError, tuple[FloatArray, ...]]],
 ) -> list[Trial]:
     """Trials of models that grow from nothing by the strongest mode of what is left, as long as held-out rows gain.
 
@@ -180,8 +179,7 @@ def _pursued(
         shop: of the refinements.
         observer: (order, ridge) whose evidence the models keep.
         model_orders: that may be tried: even ones up to the largest, or the one that was given.
-        acting: (n_samples,) a record, True where a blow acts.
-        of_forces: (n_records, n_inputs) variances of the noise of the forces; None where it is not known.
+        turns: the model and the likeliest forces by turns, and data with those.
     """
     trials: list[Trial] = []
     scored = [
@@ -195,8 +193,7 @@ def _pursued(
         if step is None:
             break
         step = refine(step, data, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
-        if of_forces is not None:
-            step, data, _ = by_turns(step, shop.data, acting, of_forces, GROWS_ON)
+        step, data, _ = turns(step)
         errors = []
         for fold, blocks in enumerate(scored):
             start = step_at(step.parameters, data, held_out=fold)
@@ -476,7 +473,6 @@ def refined_model(
         at_rest: (n_records, n_inputs) variances of the inputs' noise where a force window took it off, if it is white.
     """
     scaling = channel_scaling(records)
-    at_rest = np.zeros((len(records), start.n_inputs)) if at_rest is None else at_rest
     scaled = tuple(scaled_record(record, scaling) for record in filled(records))
     rows = tuple(record.complete_rows() for record in records)
     blocks = blocks_of(scaled, _even_blocks(scaled))
@@ -492,7 +488,7 @@ def refined_model(
     weights = np.eye(start.n_outputs)
     most = UNTIL_STILL if n_steps == MOST_STEPS else n_steps
     struck = bool(acting) and not measured and n_steps == MOST_STEPS
-    of_forces = at_rest / np.square(scaling.input_scale) if struck else np.zeros_like(at_rest)
+    of_forces = _noise_of_forces(data, scaling, acting if struck else (), at_rest)
     turns = partial(by_turns, data=data, acting=acting, variances=of_forces, least_gain=GROWS_ON)
     last = refine(first, data, n_steps=most, least_gain=least_gain)[-1] if start.order else first
     last, told, _ = turns(last)
@@ -537,9 +533,18 @@ def refined_model(
         n_rest=n_rest,
         n_parts=n_parts,
         record_scale=record_scale,
-        at_rest=at_rest / np.square(scaling.input_scale * record_scale[:, np.newaxis]),
+        at_rest=np.zeros((len(records), start.n_inputs)),
         forces_erred=tuple(own * scaling.input_scale for own in forces_erred),
     )
+
+
+def _noise_of_forces(
+    data: OutputError, scaling: ChannelScaling, acting: Sequence[BoolArray], at_rest: FloatArray | None
+) -> FloatArray:
+    """(n_records, n_inputs) variances, of scaled records; zero where no blow acts or a sample was filled."""
+    if at_rest is None or not acting or data.measured:
+        return np.zeros((len(data.records), data.records[0].n_inputs))
+    return np.asarray(at_rest / np.square(scaling.input_scale))
 
 
 def _held_or_not(

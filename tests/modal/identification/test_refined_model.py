@@ -379,8 +379,7 @@ def test_noise_that_a_force_window_leaves_within_the_blow_widens_what_follows_fr
     model = refined_model(records, exact(truth), MOST_STEPS)
     modes = extract_modes(model.realisation).modes
     plain, *_ = judged_deviations(model, modes, n_lags=1, fed_back=False)
-    told = refined_model(records, exact(truth), MOST_STEPS, at_rest=np.array([[0.04]]))
-    noisy, *_ = judged_deviations(told, modes, n_lags=1, fed_back=False)
+    noisy, *_ = judged_deviations(model.told_at_rest(np.array([[0.04]])), modes, n_lags=1, fed_back=False)
     assert (noisy.mass_std > plain.mass_std).all()
     assert (noisy.frequency_std >= plain.frequency_std).all()
 
@@ -483,7 +482,8 @@ def test_what_a_sensor_of_force_errs_by_is_told_with_what_follows(noise):
         erred = [noise * rng.standard_normal(one.inputs.shape) * (one.inputs != 0.0) for one in records]
         records = [replace(one, inputs=one.inputs + own) for one, own in zip(records, erred, strict=True)]
         fit = partial(refined_model, records, exact(truth), MOST_STEPS, by="rows", acting=acting)
-        told, plain = fit(at_rest=np.full((4, 1), noise**2)), fit()
+        at_rest = np.full((4, 1), noise**2)
+        told, plain = fit(at_rest=at_rest).told_at_rest(at_rest), fit()
         assert np.linalg.norm(np.array(told.forces_erred) - erred) < np.linalg.norm(erred)
         squares.append(errors_in_deviations(told, truth)[0] ** 2)
         ratios.append((told.whiteness_ratio, plain.whiteness_ratio))
@@ -530,6 +530,36 @@ def test_errors_of_force_larger_than_its_sensor_makes_are_of_something_else():
         at_rest = np.full((4, 1), size**2)
         model = refined_model(records, exact(truth), MOST_STEPS, by="rows", acting=acting, at_rest=at_rest)
         assert bool(model.forces_erred) is told
+
+
+def test_rows_beside_one_blow_are_told_however_many_outputs_there_are():
+    """Two rows on either side tell sizes of three outputs."""
+    for seed in range(4):
+        rng, truth = a_system(seed, n_inputs=1)
+        records, acting = struck(rng, truth, loud=2.0, n_records=1)
+        (there,) = refined_model(records, exact(truth), MOST_STEPS, by="rows", acting=acting).data.measured
+        first = int(acting[0].argmax())
+        assert not there[first - 2 : first + 5].any()
+
+
+@pytest.mark.parametrize("seed", [2, 3, 5])
+def test_what_a_blow_does_beyond_its_samples_follows_no_input_in_coloured_noise_either(seed):
+    """Neither are those rows asked, nor all others where one step ahead leaves colour, as if that were white."""
+    rng = np.random.default_rng(seed)
+    force, moved, firsts = np.zeros((3000, 1)), np.zeros((3000, 2)), range(40, 2500, 3000 // (1 + seed % 3))
+    for first in firsts:
+        force[first : first + 6, 0] = rng.uniform(0.5, 1.5) * np.sin(np.pi * (np.arange(6) + 0.5) / 6) ** 2
+    for k in range(2):
+        pole = np.exp((-0.01 + 1j) * rng.uniform(0.4, 0.7) * (1 + k))
+        answer = lfilter([1.0, -2.0, 1.0], [1.0, -2.0 * pole.real, abs(pole) ** 2], force, axis=0)
+        moved += answer * rng.uniform(-1.0, 1.0, 2)
+    top = np.abs(moved).max()
+    moved += 1e-3 * top * lfilter([1.0], [1.0, -0.9], rng.standard_normal(moved.shape), axis=0)
+    for first in firsts:
+        moved[first - 2 : first + 8] += 0.03 * top * rng.standard_normal((10, 2))
+    result = identify(Record(force + 1e-4 * rng.standard_normal(force.shape), moved, 0.005))
+    assert len(result.modes.system) == 2
+    assert not [words for words in result.warnings if "follows the inputs" in words]
 
 
 @pytest.mark.parametrize("colour", [0.0, 0.9])

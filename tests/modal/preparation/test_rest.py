@@ -8,6 +8,7 @@ import pytest
 from scipy.signal import cheby1, sosfilt
 
 from modal.preparation.rest import released, with_rest
+from modal.preparation.steps import prepare
 from okid.record import Record
 
 RING = 0.99 ** np.arange(2000.0) * np.cos(0.7 * np.arange(2000.0))
@@ -179,3 +180,11 @@ def test_a_sensor_that_is_moved_after_the_blow_hides_no_rest():
     later = np.where(np.arange(record.n_samples) < 900, np.nan, record.outputs[:, 0])
     both = Record(record.inputs, np.column_stack([record.outputs[:, 0], later]), record.dt)
     assert with_rest([both]).n_rest[0] > 100
+
+
+@pytest.mark.parametrize(("how", "white"), [({}, True), ({"decimation": 2}, False), ({"drift": 1}, False)])
+def test_noise_of_a_force_is_white_within_its_window_but_behind_a_filter_or_less_a_drift(how, white):
+    record, _ = filtered_blow(noise=1e-3)
+    prepared = prepare([record], kind="transient", **{"decimation": 1, **how})
+    assert prepared.at_rest.all()
+    assert bool(prepared.white_at_rest.any()) is white
