@@ -122,7 +122,10 @@ def refined_search(
     refined: dict[tuple[int, float, int], list[Trial]] = {}
     resting = found.ground.by == "rows" and all(begins_at_rest(record, FEW) for record in found.ground.scaled)
     of_forces = _noise_of_forces(shop.data, found.ground.scaling, acting, at_rest)
-    turns = partial(by_turns, data=shop.data, acting=acting, variances=of_forces, least_gain=GROWS_ON)
+    # by rows, of a long record one stretch is scored
+    pairs = zip(acting, found.ground.first_rows, found.ground.scaled, strict=False)
+    seen = [rows[first : first + record.n_samples] for rows, first, record in pairs]
+    turns = partial(by_turns, data=shop.data, acting=seen, variances=of_forces, least_gain=GROWS_ON)
     pursued = _pursued(shop, first, found.limits.model_orders, turns) if resting else []
     best, without_gain = min(found.trials[0].error, _least_error(pursued)), 0
     for i, n in enumerate(orders):

@@ -48,6 +48,19 @@ def test_every_mode_is_called_and_none_invented(kind, seed, cell):
     np.testing.assert_allclose(measured - measured[0], outputs - outputs[0], atol=1e-9 * abs(outputs).max())
 
 
+def test_a_blow_in_a_record_that_is_searched_in_a_part_of_it():
+    """Of more than 30 000 samples the folds run a part; the rows in which the blow acts are of that part, too."""
+    truth = random_records("transient", 202, n_records=1, cell=0.005)
+    ((force, outputs),) = truth.records
+    rng, n_more = np.random.default_rng(202), 30_500 - len(force)
+    rest = rng.standard_normal((n_more, force.shape[1])) * force[-200:].std(axis=0)
+    quiet = rng.standard_normal((n_more, outputs.shape[1])) * truth.noise_std
+    record = Record(
+        np.concatenate([force, rest]), np.concatenate([outputs, outputs[-200:].mean(axis=0) + quiet]), truth.dt
+    )
+    assert_told_right(modal.identify(record), truth)
+
+
 def test_all_rows_are_explained_as_well_as_the_folds_promised():
     """The observer of all rows leads astray here, those of the folds do not: one blow in a record of noise."""
     truth = random_records("transient", 5007)
