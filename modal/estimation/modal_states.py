@@ -349,3 +349,27 @@ class Driven:
             signals[self.n_families * n : self.n_signals - 2 * n] = self.partners[:, first : first + n_rows]
             memory[-1] *= powers[n_rows - 1] * poles
             yield first, signals, memory.T.copy()
+
+
+def blocks_of_answers(
+    layout: SignalLayout, parameters: ModalParameters, records: Sequence[Record], n_parts: int
+) -> tuple[Block, ...]:
+    """Blocks that hold equal parts of what the rows tell of the poles, `n_parts` a pole and record.
+
+    What a blow tells of a mode lies within the mode's memory, a short one for a mode that is soon over: even blocks
+    would hold it all. The squares of a state's sensitivity to its pole say where it lies; poles count alike.
+    """
+    n, alone = layout.n_poles, layout.alone
+    told = []
+    for index, record in enumerate(records):
+        parts = signals_of(layout, parameters, index, record)
+        real, imaginary = (slice(part.start, part.start + n) for part in (alone.real, alone.imaginary))
+        told.append(np.vstack([rows[:, real] ** 2 + rows[:, imaginary] ** 2 for _, rows in parts]))
+    total = np.maximum(np.sum([one.sum(axis=0) for one in told], axis=0), np.finfo(float).tiny)
+    blocks: list[Block] = []
+    for index, one in enumerate(told):
+        share = np.cumsum((one / total).sum(axis=1))
+        number = np.floor(n_parts * len(told) * share).astype(int)
+        edges = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(one)]
+        blocks += [Block(record=index, first=first, last=last, label=-1) for first, last in pairwise(edges)]
+    return tuple(blocks)

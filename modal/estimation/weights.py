@@ -14,6 +14,7 @@ References:
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -30,6 +31,8 @@ WEIGHTINGS = 4
 """Rounds in which outputs' weights and the model settle."""
 BESIDE = 2
 """Ask so many rows more on either side of a blow at a time, or a part of it that takes `WEIGHTINGS` rounds."""
+MOVES = 0.5
+"""What errs while a motion falls by less does not follow it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,8 +92,8 @@ def struck_apart(plain: Weighted, acting: Sequence[BoolArray], least_gain: float
     """The rows in which a blow acts weighed by what is left there, too, where that ends with the blow.
 
     Then they count as not measured, and with so little weight that they tell only what no other row does: feedthrough.
-    What a filter rings on belongs to them, for as long as the blow acts at most; errors that go on beyond are of
-    something else, and all rows count alike.
+    What a filter rings on belongs to them, for as long as the blow acts, or the motion goes on, at most; errors that go
+    on beyond are of something else, and all rows count alike.
 
     Each question is asked of the model that is likeliest by the weights so far: what a noisy record does to the
     feedthrough would be an error of the others' blows.
@@ -103,8 +106,7 @@ def struck_apart(plain: Weighted, acting: Sequence[BoolArray], least_gain: float
     now, loud = plain, list(acting)
     if not _louder(plain.errors, loud, than=[~rows for rows in loud]):
         return plain
-    longest = max(last - first for rows in acting for first, last in runs_of(rows))
-    *_, farthest = _beside(acting, max(BESIDE, longest))
+    longest, farthest = _longest(acting), _while_it_moves(plain, acting)
     while True:
         now = now.apart(loud, least_gain)
         behind, ahead, wider = _beside(loud, max(BESIDE, longest // WEIGHTINGS))
@@ -114,6 +116,36 @@ def struck_apart(plain: Weighted, acting: Sequence[BoolArray], least_gain: float
         before, loud = loud, [own & most for own, most in zip(wider, farthest, strict=True)]
         if all((own == one).all() for own, one in zip(loud, before, strict=True)):
             return plain
+
+
+def beside_blows(acting: Sequence[BoolArray]) -> list[BoolArray]:
+    """(n_samples,) a record: rows in which a blow acts, or a filter may ring by it: for as long at most."""
+    *_, farthest = _beside(acting, max(BESIDE, _longest(acting)))
+    return farthest
+
+
+def _while_it_moves(model: Weighted, acting: Sequence[BoolArray]) -> list[BoolArray]:
+    """Besides, what follows a blow until the motion falls to `MOVES` of what it was.
+
+    What is not linear follows the motion, so what is over while that goes on is not of it.
+    """
+    longest, weights = max(BESIDE, _longest(acting)), np.diag(model.weights)
+    first_level = 2 * model.step.layout.n_poles + model.step.layout.n_direct
+    levels = model.step.linear.coefficients[first_level:]
+    there = beside_blows(acting)
+    for own, rows, record, left, level in zip(there, acting, model.data.records, model.errors, levels, strict=True):
+        power = np.square(record.outputs - left - level) @ weights
+        runs = runs_of(rows)
+        for (_, last), (until, _) in pairwise([*runs, (len(rows), len(rows))]):
+            n = (until - last) // longest
+            each = power[last : last + n * longest].reshape(n, longest).mean(axis=1)
+            moves = np.flatnonzero(~(each >= MOVES**2 * each[:1]))
+            own[last : last + longest * (moves[0] if moves.size else n)] = True
+    return there
+
+
+def _longest(acting: Sequence[BoolArray]) -> int:
+    return max((last - first for rows in acting for first, last in runs_of(rows)), default=0)
 
 
 def _beside(rows: Sequence[BoolArray], n: int) -> tuple[list[BoolArray], list[BoolArray], list[BoolArray]]:

@@ -322,6 +322,8 @@ def _of_inputs(model: RefinedModel, powers: FloatArray) -> tuple[_Loadings, _Loa
     rng = np.random.default_rng(0)
     whole = np.zeros((N_DRAWS, layout.size, layout.n_outputs))
     parts = np.zeros((N_BLOCK_DRAWS, len(data.blocks), *whole.shape[1:]))
+    likely = model.likely_forces(powers)
+    drawn = [] if likely is None else likely.drawn(rng, N_DRAWS)
     for number, (record, counted) in enumerate(zip(data.records, data.counted, strict=True)):
         recursion = PoleRecursion.of(parameters.poles, min(record.n_samples, CHUNK))
         states = np.zeros((N_DRAWS, n), dtype=np.complex128)
@@ -333,6 +335,9 @@ def _of_inputs(model: RefinedModel, powers: FloatArray) -> tuple[_Loadings, _Loa
             there = counted[first : first + len(signals)]
             for k in range(N_DRAWS):
                 noise = sizes[:, first : first + len(signals)] * rng.standard_normal((m, len(signals)))
+                if likely is not None:  # what follows tells of the rest
+                    told = slice(*np.searchsorted(likely.row[number], [first, first + len(signals)]))
+                    noise[likely.which[number][told], likely.row[number][told] - first] = drawn[number][told, k]
                 state, states[k] = recursion.run(parameters.inputs @ noise, states[k])
                 left = ((step.linear.shapes @ state).real + D @ noise).T * there
                 whole[k, places] += signals.T @ left

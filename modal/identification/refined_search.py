@@ -17,7 +17,7 @@ that it has: then it is the maximum-likelihood estimate for noise on the outputs
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import islice, pairwise
+from itertools import islice
 
 import numpy as np
 
@@ -33,7 +33,7 @@ from modal.estimation.cross_validation import (
     training_decomposition,
     trial_of,
 )
-from modal.estimation.force_noise import by_turns, forces_told
+from modal.estimation.force_noise import LikelyForces, by_turns, forces_told, likely_forces
 from modal.estimation.free_run import begins_at_rest, filled
 from modal.estimation.modal_parameters import (
     Proposal,
@@ -42,7 +42,7 @@ from modal.estimation.modal_parameters import (
     starting_parameters,
     with_weak_mode,
 )
-from modal.estimation.modal_states import Block, blocks_by_turns, blocks_of, signals_of
+from modal.estimation.modal_states import blocks_by_turns, blocks_of, blocks_of_answers
 from modal.estimation.output_error import (
     GROWS_AFTER,
     GROWS_ON,
@@ -54,7 +54,7 @@ from modal.estimation.output_error import (
     without_what_moves_between_samples,
 )
 from modal.estimation.prediction_error import NOISE_FREE
-from modal.estimation.weights import UNTIL_STILL, struck_apart, whiteness_ratio
+from modal.estimation.weights import UNTIL_STILL, beside_blows, weighted, whiteness_ratio
 from modal.identification.order_search import Search, as_good, significantly_worse
 from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
@@ -122,7 +122,7 @@ def refined_search(
     refined: dict[tuple[int, float, int], list[Trial]] = {}
     resting = found.ground.by == "rows" and all(begins_at_rest(record, FEW) for record in found.ground.scaled)
     of_forces = _noise_of_forces(shop.data, found.ground.scaling, acting, at_rest)
-    turns = partial(by_turns, data=shop.data, acting=acting, variances=of_forces, least_gain=GROWS_ON)
+    turns = partial(by_turns, data=shop.data, aside=beside_blows(acting), variances=of_forces, least_gain=GROWS_ON)
     pursued = _pursued(shop, first, found.limits.model_orders, turns) if resting else []
     best, without_gain = min(found.trials[0].error, _least_error(pursued)), 0
     for i, n in enumerate(orders):
@@ -399,6 +399,7 @@ class RefinedModel:
         at_rest: (n_records, n_inputs) variances of what inputs showed where a force window made them zero, of the data.
         forces_erred: (n_samples, n_inputs) a record, by as much as far as what follows tells, in the units of the
             records; none where that tells nothing.
+        acting: (n_samples,) a record, True where a blow acts.
     """
 
     realisation: Realisation
@@ -412,6 +413,7 @@ class RefinedModel:
     record_scale: FloatArray
     at_rest: FloatArray
     forces_erred: tuple[FloatArray, ...] = ()
+    acting: tuple[BoolArray, ...] = ()
 
     @property
     def leaves_white_noise(self) -> bool:
@@ -422,6 +424,16 @@ class RefinedModel:
         """The records with the likeliest forces."""
         pairs = zip(records, self.forces_erred, strict=True) if self.forces_erred else ()
         return tuple(replace(one, inputs=one.inputs - own) for one, own in pairs) or tuple(records)
+
+    def likely_forces(self, variances: FloatArray) -> LikelyForces | None:
+        """What the forces erred by, known to err with (n_records, n_inputs) variances where they do at rest."""
+        if not self.forces_erred:
+            return None
+        sizes = self.scaling.input_scale * self.record_scale[:, np.newaxis]
+        erred = [own / size for own, size in zip(self.forces_erred, sizes, strict=True)]
+        known = np.where(self.at_rest > 0.0, variances, 0.0)
+        apart = [~rows[:, 0] for rows in self.data.measured]
+        return likely_forces(self.step, self.data, erred, apart or beside_blows(self.acting), known)
 
     def told_at_rest(self, variances: FloatArray) -> "RefinedModel":
         """The model that knows (n_records, n_inputs) variances of its inputs' noise, in the units of the records."""
@@ -489,7 +501,7 @@ def refined_model(
     most = UNTIL_STILL if n_steps == MOST_STEPS else n_steps
     struck = bool(acting) and not measured and n_steps == MOST_STEPS
     of_forces = _noise_of_forces(data, scaling, acting if struck else (), at_rest)
-    turns = partial(by_turns, data=data, acting=acting, variances=of_forces, least_gain=GROWS_ON)
+    turns = partial(by_turns, data=data, aside=beside_blows(acting), variances=of_forces, least_gain=GROWS_ON)
     last = refine(first, data, n_steps=most, least_gain=least_gain)[-1] if start.order else first
     last, told, _ = turns(last)
     for i in range(weak_modes):
@@ -503,11 +515,11 @@ def refined_model(
     ratio, record_scale = whiteness_ratio(last, data), np.ones(len(records))
     forces_erred: tuple[FloatArray, ...] = ()
     if n_steps == MOST_STEPS and (start.n_outputs > 1 or len(records) > 1 or struck):
-        likeliest, forces_erred = forces_told(
-            last, data, told, acting=acting, variances=of_forces, least_gain=least_gain
-        )
+        likeliest = weighted(last, told, least_gain)
         if struck:
-            likeliest = struck_apart(likeliest, acting, least_gain)
+            likeliest, forces_erred = forces_told(
+                likeliest, data, acting=acting, variances=of_forces, least_gain=least_gain
+            )
         own_ratio = whiteness_ratio(likeliest.step, likeliest.data)
         if own_ratio <= WHITE or by == "rows":
             last, data, weights, record_scale = (
@@ -521,7 +533,7 @@ def refined_model(
     n_parts = len(data.blocks)
     if by == "rows" and not ratio <= WHITE:
         n_parts = PARTS_A_POLE * len(records)
-        data = replace(data, blocks=_blocks_of_answers(last, data))
+        data = replace(data, blocks=blocks_of_answers(last.layout, last.parameters, data.records, PARTS_A_POLE))
         last = step_at(last.parameters, data, weights=weights)
     return RefinedModel(
         realisation=realisation,
@@ -535,6 +547,7 @@ def refined_model(
         record_scale=record_scale,
         at_rest=np.zeros((len(records), start.n_inputs)),
         forces_erred=tuple(own * scaling.input_scale for own in forces_erred),
+        acting=tuple(acting),
     )
 
 
@@ -569,26 +582,3 @@ def _even_blocks(records: Sequence[Record]) -> list[list[list[tuple[int, int]]]]
         edges = np.linspace(0, record.n_samples, count + 1).round().astype(int).tolist()
         fold.append(list(zip(edges[1:-1:2], edges[2::2], strict=False)))
     return [fold]
-
-
-def _blocks_of_answers(step: RefinementStep, data: OutputError) -> tuple[Block, ...]:
-    """Blocks that hold equal parts of what the rows tell of the poles, `PARTS_A_POLE` a pole and record.
-
-    What a blow tells of a mode lies within the mode's memory, a short one for a mode that is soon over: even blocks
-    would hold it all. The squares of a state's sensitivity to its pole say where it lies; poles count alike.
-    """
-    n, regressors = step.layout.n_poles, step.layout.alone.n_regressors
-    size = step.layout.alone.n_sensitivities
-    told = []
-    for index, record in enumerate(data.records):
-        parts = signals_of(step.layout, step.parameters, index, record)
-        real, imaginary = slice(regressors, regressors + n), slice(regressors + size, regressors + size + n)
-        told.append(np.vstack([rows[:, real] ** 2 + rows[:, imaginary] ** 2 for _, rows in parts]))
-    total = np.maximum(np.sum([one.sum(axis=0) for one in told], axis=0), np.finfo(float).tiny)
-    blocks: list[Block] = []
-    for index, one in enumerate(told):
-        share = np.cumsum((one / total).sum(axis=1))
-        number = np.floor(PARTS_A_POLE * len(told) * share).astype(int)
-        edges = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(one)]
-        blocks += [Block(record=index, first=first, last=last, label=-1) for first, last in pairwise(edges)]
-    return tuple(blocks)
