@@ -45,7 +45,7 @@ from modal.estimation.output_error import (
     step_at,
     step_equations,
 )
-from modal.estimation.weights import UNTIL_STILL, Weighted, beside_blows, struck_apart, weighted
+from modal.estimation.weights import UNTIL_STILL, Weighted, beside_blows, set_aside, struck_apart, weighted
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
 from okid.rows import runs_of
 
@@ -61,8 +61,6 @@ TOLD = 1e-6
 """A combination of the force's errors is told by what follows from so much of the noise's power on."""
 ROUNDING = 1e-10
 """Relative power of what is left of an answer beside the model that is rounding."""
-ASIDE = 1e-6
-"""Squared weight of rows in which a blow acts while forces are told: they tell what no other row does, feedthrough."""
 
 
 def forces_told(
@@ -171,6 +169,11 @@ class LikelyForces:
     likeliest: FloatArray
     chance: float
 
+    @property
+    def times(self) -> float:
+        """How many times as large as by noise of the sensors and of the outputs what is left is."""
+        return float(np.sqrt(np.mean(self.likeliest**2 * (1.0 + self.power) / self.power)))
+
     def errors(self, data: OutputError) -> tuple[FloatArray, ...]:
         """(n_samples, n_inputs) a record, the likeliest."""
         found = tuple(np.zeros_like(record.inputs) for record in data.records)
@@ -260,7 +263,8 @@ def _noise(power: FloatArray, products: FloatArray, squares: float, freedom: int
         squares: sum of those of what is left.
         freedom: dimensions that it has.
     """
-    rest, others = max(squares - float((products**2 / power).sum()), TINY), max(1, freedom - power.size)
+    others = max(1, freedom - power.size)
+    rest = max(squares - float((products**2 / power).sum()), ROUNDING * squares, TINY)
 
     def surprise(logarithm: float) -> float:
         s = np.exp(logarithm)
@@ -296,8 +300,7 @@ class _Beside:
     @classmethod
     def blows(cls, step: RefinementStep, told: OutputError, quiet: Sequence[BoolArray]) -> "_Beside":
         """The model with its linear part by these rows alone."""
-        measured = tuple(np.repeat(rows[:, np.newaxis], step.layout.n_outputs, axis=1) for rows in quiet)
-        asked = replace(told, measured=measured, elsewhere=ASIDE)
+        asked = set_aside(told, [~rows for rows in quiet])
         own = step_at(step.parameters, asked)
         errors = np.vstack(errors_of(own, asked))
         counts, squares = np.isfinite(errors).sum(axis=0), np.nansum(np.square(errors), axis=0)
@@ -328,7 +331,7 @@ class _Beside:
             for one in self.step.sums
         ]
         others = scores_of(self.step, self.slopes, weighted_products) @ self.root
-        return np.hstack([*(one.reshape(len(products), -1) for one in linear), others])
+        return np.hstack([*(one.reshape(len(one), one.shape[1] * one.shape[2]) for one in linear), others])
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -378,9 +378,10 @@ def slopes_of(step: RefinementStep) -> FloatArray:
 def scores_of(step: RefinementStep, slopes: FloatArray, products: FloatArray) -> FloatArray:
     """(n, n_free) gradient of each of (n, size, n_outputs) weighted products, the linear part projected out."""
     layout = step.layout
-    direct = [outputs_of(step, one[layout.real], one[layout.imaginary]) for one in products]
-    left = np.einsum("tno,sno->sto", slopes, products[:, layout.regressors])
-    return np.asarray((np.array(direct) - left).sum(axis=2))
+    each = products.swapaxes(0, 1)
+    direct = outputs_of(step, each[layout.real], each[layout.imaginary])
+    left = np.einsum("tno,nso->tso", slopes, each[layout.regressors])
+    return np.asarray((direct - left).sum(axis=2).T)
 
 
 def inverse_root(matrix: FloatArray) -> FloatArray:

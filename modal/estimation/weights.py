@@ -12,6 +12,7 @@ References:
     Green, Journal of the Royal Statistical Society B 46(2), 1984, 149-192 (iteratively reweighted least squares).
 """
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -31,6 +32,8 @@ WEIGHTINGS = 4
 """Rounds in which outputs' weights and the model settle."""
 BESIDE = 2
 """Ask so many rows more on either side of a blow at a time, or a part of it that takes `WEIGHTINGS` rounds."""
+ASIDE = 1e-6
+"""Squared weight of rows that are set aside: enough to tell what nothing else does, and no more."""
 MOVES = 0.5
 """What errs while a motion falls by less does not follow it."""
 
@@ -58,12 +61,23 @@ class Weighted:
 
     def apart(self, loud: Sequence[BoolArray], least_gain: float) -> "Weighted":
         """With these rows weighed by their errors over those of the others."""
-        quiet = [~rows for rows in loud]
-        measured = tuple(np.tile(rows[:, np.newaxis], self.step.layout.n_outputs) for rows in quiet)
-        times = _size(self.errors, loud, than=quiet)[1]
-        data = replace(self.data, measured=measured, elsewhere=min(1.0, float(np.exp(-np.log(times).mean()))))
+        times = _size(self.errors, loud, than=[~rows for rows in loud])[1]
+        data = set_aside(self.data, loud, counting=min(1.0, float(np.exp(-np.log(times).mean()))))
         now = weighted(step_at(self.step.parameters, data), data, least_gain)
         return replace(now, record_scale=self.record_scale * now.record_scale)
+
+
+def set_aside(data: OutputError, rows: Sequence[BoolArray], *, counting: float = ASIDE) -> OutputError:
+    """Rows as if they were not measured, with a squared weight by which they tell what no other row does: feedthrough.
+
+    Args:
+        data: all of which was measured, or has other rows set aside.
+        rows: (n_samples,) a record.
+        counting: that weight.
+    """
+    n_outputs = data.records[0].n_outputs
+    measured = tuple(np.repeat(~own[:, np.newaxis], n_outputs, axis=1) for own in rows)
+    return replace(data, measured=measured, elsewhere=counting)
 
 
 def weighted(step: RefinementStep, data: OutputError, least_gain: float) -> Weighted:
@@ -129,19 +143,24 @@ def _while_it_moves(model: Weighted, acting: Sequence[BoolArray]) -> list[BoolAr
 
     What is not linear follows the motion, so what is over while that goes on is not of it.
     """
-    longest, weights = max(BESIDE, _longest(acting)), np.diag(model.weights)
-    first_level = 2 * model.step.layout.n_poles + model.step.layout.n_direct
-    levels = model.step.linear.coefficients[first_level:]
+    parameters = model.step.parameters
+    poles, of_shapes = parameters.poles, np.diag(model.weights) @ np.abs(model.step.linear.shapes) ** 2
     there = beside_blows(acting)
-    for own, rows, record, left, level in zip(there, acting, model.data.records, model.errors, levels, strict=True):
-        power = np.square(record.outputs - left - level) @ weights
-        runs = runs_of(rows)
-        for (_, last), (until, _) in pairwise([*runs, (len(rows), len(rows))]):
-            n = (until - last) // longest
-            each = power[last : last + n * longest].reshape(n, longest).mean(axis=1)
-            moves = np.flatnonzero(~(each >= MOVES**2 * each[:1]))
-            own[last : last + longest * (moves[0] if moves.size else n)] = True
+    for own, rows, record, start in zip(there, acting, model.data.records, parameters.states, strict=True):
+        state, begun = start, 0
+        for (first, last), (until, _) in pairwise([*runs_of(rows), (len(rows), len(rows))]):
+            past = poles ** np.arange(last - 1 - first, -1, -1)[:, np.newaxis]
+            driven = past * (record.inputs[first:last] @ parameters.inputs.T)
+            state, begun = poles ** (last - begun) * state + driven.sum(axis=0), last
+            power = of_shapes * np.abs(state) ** 2
+            least, fading = MOVES**2 * power.sum(), np.abs(poles) ** 2
+            own[last : last + _rows_above(least, power, fading, until - last)] = True
     return there
+
+
+def _rows_above(least: float, power: FloatArray, fading: FloatArray, most: int) -> int:
+    """Rows, of at most so many, until a sum of powers that fade at rates of their own falls below the least."""
+    return bisect_left(range(most), True, key=lambda k: bool(power @ fading**k < least))
 
 
 def _longest(acting: Sequence[BoolArray]) -> int:

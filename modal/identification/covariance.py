@@ -322,7 +322,7 @@ def _of_inputs(model: RefinedModel, powers: FloatArray) -> tuple[_Loadings, _Loa
     rng = np.random.default_rng(0)
     whole = np.zeros((N_DRAWS, layout.size, layout.n_outputs))
     parts = np.zeros((N_BLOCK_DRAWS, len(data.blocks), *whole.shape[1:]))
-    likely = model.likely_forces(powers)
+    likely = model.likely_forces(powers) if model.forces_erred else None
     drawn = [] if likely is None else likely.drawn(rng, N_DRAWS)
     for number, (record, counted) in enumerate(zip(data.records, data.counted, strict=True)):
         recursion = PoleRecursion.of(parameters.poles, min(record.n_samples, CHUNK))

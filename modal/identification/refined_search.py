@@ -54,7 +54,7 @@ from modal.estimation.output_error import (
     without_what_moves_between_samples,
 )
 from modal.estimation.prediction_error import NOISE_FREE
-from modal.estimation.weights import UNTIL_STILL, beside_blows, weighted, whiteness_ratio
+from modal.estimation.weights import UNTIL_STILL, beside_blows, set_aside, weighted, whiteness_ratio
 from modal.identification.order_search import Search, as_good, significantly_worse
 from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
@@ -122,8 +122,10 @@ def refined_search(
     refined: dict[tuple[int, float, int], list[Trial]] = {}
     resting = found.ground.by == "rows" and all(begins_at_rest(record, FEW) for record in found.ground.scaled)
     of_forces = _noise_of_forces(shop.data, found.ground.scaling, acting, at_rest)
-    turns = partial(by_turns, data=shop.data, aside=beside_blows(acting), variances=of_forces, least_gain=GROWS_ON)
-    pursued = _pursued(shop, first, found.limits.model_orders, turns) if resting else []
+    beside = beside_blows(acting)
+    following = shop.data if shop.data.measured or not acting else set_aside(shop.data, beside)
+    turns = partial(by_turns, data=following, aside=beside, variances=of_forces, least_gain=GROWS_ON)
+    pursued = _pursued(shop, first, found.limits.model_orders, following, turns) if resting else []
     best, without_gain = min(found.trials[0].error, _least_error(pursued)), 0
     for i, n in enumerate(orders):
         refined[*first, n] = _trials(shop, (*first, n), hopeless=HOPELESS * best)
@@ -164,6 +166,7 @@ def _pursued(
     shop: _Workshop,
     observer: tuple[int, float],
     model_orders: Sequence[int],
+    data: OutputError,
     turns: Callable[[RefinementStep], tuple[RefinementStep, OutputError, tuple[FloatArray, ...]]],
 ) -> list[Trial]:
     """Trials of models that grow from nothing by the strongest mode of what is left, as long as held-out rows gain.
@@ -179,13 +182,13 @@ def _pursued(
         shop: of the refinements.
         observer: (order, ridge) whose evidence the models keep.
         model_orders: that may be tried: even ones up to the largest, or the one that was given.
+        data: of the workshop, less the rows in which a blow acts or a filter rings by it: no mode is of these.
         turns: the model and the likeliest forces by turns, and data with those.
     """
     trials: list[Trial] = []
     scored = [
         [i for i, block in enumerate(shop.data.blocks) if block.label == f] for f in range(len(shop.ground.folds))
     ]
-    data = shop.data
     step: RefinementStep | None = nothing_yet(data)
     best, without_gain = None, 0
     while 2 * len(trials) + 2 <= max(model_orders) and without_gain < PATIENCE:
@@ -426,14 +429,13 @@ class RefinedModel:
         return tuple(replace(one, inputs=one.inputs - own) for one, own in pairs) or tuple(records)
 
     def likely_forces(self, variances: FloatArray) -> LikelyForces | None:
-        """What the forces erred by, known to err with (n_records, n_inputs) variances where they do at rest."""
-        if not self.forces_erred:
-            return None
+        """What the forces erred by, with (n_records, n_inputs) variances of the data where their sensors rest."""
         sizes = self.scaling.input_scale * self.record_scale[:, np.newaxis]
-        erred = [own / size for own, size in zip(self.forces_erred, sizes, strict=True)]
-        known = np.where(self.at_rest > 0.0, variances, 0.0)
+        known = self.forces_erred or tuple(np.zeros_like(record.inputs) for record in self.data.records)
+        erred = [own / size for own, size in zip(known, sizes, strict=True)]
         apart = [~rows[:, 0] for rows in self.data.measured]
-        return likely_forces(self.step, self.data, erred, apart or beside_blows(self.acting), known)
+        own = np.where(self.at_rest > 0.0, variances, 0.0)
+        return likely_forces(self.step, self.data, erred, apart or beside_blows(self.acting), own)
 
     def told_at_rest(self, variances: FloatArray) -> "RefinedModel":
         """The model that knows (n_records, n_inputs) variances of its inputs' noise, in the units of the records."""
@@ -501,15 +503,19 @@ def refined_model(
     most = UNTIL_STILL if n_steps == MOST_STEPS else n_steps
     struck = bool(acting) and not measured and n_steps == MOST_STEPS
     of_forces = _noise_of_forces(data, scaling, acting if struck else (), at_rest)
-    turns = partial(by_turns, data=data, aside=beside_blows(acting), variances=of_forces, least_gain=GROWS_ON)
-    last = refine(first, data, n_steps=most, least_gain=least_gain)[-1] if start.order else first
+    beside = beside_blows(acting) if struck else []
+    following = set_aside(data, beside) if struck and by == "rows" else data  # no mode is of what a filter rings on
+    turns = partial(by_turns, data=following, aside=beside, variances=of_forces, least_gain=GROWS_ON)
+    last = refine(first, following, n_steps=most, least_gain=least_gain)[-1] if start.order else first
     last, told, _ = turns(last)
     for i in range(weak_modes):
         driven: Proposal = "observer" if i < weak_modes - answers else "answer"
         larger = with_weak_mode(last, told, by="blow" if by == "rows" else driven)
         last = last if larger is None else refine(larger, told, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
         last, told, _ = turns(last)
-    last = refine(last, told, n_steps=most, least_gain=least_gain)[-1] if weak_modes else last
+    told = replace(told, measured=data.measured, elsewhere=data.elsewhere)
+    if weak_modes or following is not data:
+        last = refine(step_at(last.parameters, told), told, n_steps=most, least_gain=least_gain)[-1]
     if n_steps == MOST_STEPS and records[0].input_hold == "band_limited":
         last, data, told = _held_or_not(last, data, told, least_gain)
     ratio, record_scale = whiteness_ratio(last, data), np.ones(len(records))
