@@ -263,6 +263,8 @@ class Driven:
         participations: (n_poles, n_inputs) of its own inputs.
         start: (n_poles,) initial states.
         partners: (n_inputs + 1 + n_outputs, n_samples) inputs, those that act at once last, one, and outputs.
+        recursion: of the poles, over a chunk.
+        powers: (n_rows, n_poles) of the poles, over a chunk.
     """
 
     layout: SignalLayout
@@ -271,19 +273,36 @@ class Driven:
     participations: ComplexArray
     start: ComplexArray
     partners: FloatArray
+    recursion: PoleRecursion
+    powers: ComplexArray
 
     @classmethod
-    def of(cls, layout: SignalLayout, parameters: ModalParameters, index: int, record: Record) -> "Driven":
-        """By the inputs whose signals it has."""
+    def of(
+        cls,
+        layout: SignalLayout,
+        parameters: ModalParameters,
+        index: int,
+        record: Record,
+        *,
+        beside: "Driven | None" = None,
+    ) -> "Driven":
+        """By the inputs whose signals it has; what its poles do is known of the one beside if that is as long."""
         own, order = layout.inputs_of(index), np.argsort(np.angle(parameters.poles))
+        poles, longest = parameters.poles[order], min(record.n_samples, CHUNK)
+        if beside is None or len(beside.powers) < longest:
+            recursion, powers = PoleRecursion.of(poles, longest), powers_of(poles, longest)
+        else:
+            recursion, powers = beside.recursion, beside.powers
         inputs = record.inputs[:, np.roll(own, -layout.alone.n_direct)].T
         return cls(
             layout=layout.alone,
             order=order,
-            poles=parameters.poles[order],
+            poles=poles,
             participations=parameters.inputs[np.ix_(order, own)],
             start=parameters.states[index, order],
             partners=np.vstack([inputs, np.ones((1, record.n_samples)), record.outputs.T]),
+            recursion=recursion,
+            powers=powers,
         )
 
     @property
@@ -317,8 +336,7 @@ class Driven:
         the next one.
         """
         poles, n, m, n_samples = self.poles, self.poles.size, self.layout.n_inputs, self.partners.shape[1]
-        longest = min(n_samples, CHUNK)
-        recursion, powers = PoleRecursion.of(poles, longest), powers_of(poles, longest)
+        longest, recursion, powers = min(n_samples, CHUNK), self.recursion, self.powers
         with np.errstate(divide="ignore"):
             alive = 1.0 + np.floor(np.log(DIED_OUT) / np.log(np.abs(poles)))
         inputs = np.roll(self.partners[:m], self.layout.n_direct, axis=0)[:, np.newaxis]

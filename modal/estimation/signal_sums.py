@@ -67,8 +67,9 @@ def signal_grams_over(
     layout = layout_of(parameters, records, n_direct)
     wholes = [np.zeros((layout.size, layout.size)) for _ in choices]
     parts = np.zeros((len(choices), len(blocks), *2 * (layout.alone.n_regressors + layout.n_outputs,)))
+    beside: Driven | None = None
     for r, record in enumerate(records):
-        driven = Driven.of(layout, parameters, r, record)
+        beside = driven = Driven.of(layout, parameters, r, record, beside=beside)
         own = [i for i, block in enumerate(blocks) if block.record == r]
         totals = [
             _Total.of(driven, rows[r], [(blocks[i], part[i]) for i in own], held_out)
