@@ -144,7 +144,7 @@ class PoleRecursion:
             poles=poles,
             kernel=np.stack([by_all.real, by_all.imag], axis=1),
             reach=np.stack([by_drive.real, by_drive.imag], axis=2),
-            starts=cls.of(powers[:, POLE_BLOCK], n_samples // POLE_BLOCK) if n_samples > 2 * POLE_BLOCK else None,
+            starts=cls.of(powers[:, POLE_BLOCK], n_samples // POLE_BLOCK) if n_samples > POLE_BLOCK else None,
         )
 
     def run(self, drive: FloatArray | ComplexArray, state: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
@@ -170,6 +170,7 @@ class PoleRecursion:
         n_poles, (_, n_parts, n_samples) = self.poles.size, drive.shape
         n_blocks = 0 if self.starts is None else n_samples // POLE_BLOCK
         whole, width = n_blocks * POLE_BLOCK, n_parts * POLE_BLOCK
+        kernel = self.kernel[:, :, -width - 2 :]
         if self.starts is not None and n_blocks:
             stacked = np.empty((n_poles, n_blocks, width + 2))
             of_blocks = stacked[:, :, :width].reshape(n_poles, n_blocks, n_parts, POLE_BLOCK)
@@ -178,11 +179,15 @@ class PoleRecursion:
             starts, state = self.starts.run(added.view(np.complex128)[:, :, 0], state)
             stacked[:, :, width:] = starts.view(np.float64).reshape(n_poles, n_blocks, 2)
             into = states[:, :, :whole].reshape(n_poles, 2, n_blocks, POLE_BLOCK)
-            np.matmul(stacked[:, np.newaxis], self.kernel[:, :, -width - 2 :], out=into)
-        drives = drive[:, 0, whole:] if n_parts == 1 else drive[:, 1, whole:] + 1j * drive[:, 0, whole:]
-        for k in range(whole, n_samples):
-            states[:, 0, k], states[:, 1, k] = state.real, state.imag
-            state = self.poles * state + drives[:, k - whole]
+            np.matmul(stacked[:, np.newaxis], kernel, out=into)
+        if n_rest := n_samples - whole:  # not a block, or the only one
+            rest = np.zeros((n_poles, width + 2))
+            rest[:, :width].reshape(n_poles, n_parts, POLE_BLOCK)[:, :, :n_rest] = drive[:, :, whole:]
+            rest[:, width], rest[:, width + 1] = state.real, state.imag
+            last = np.matmul(rest[:, np.newaxis, np.newaxis], kernel)[:, :, 0, :n_rest]
+            states[:, :, whole:] = last
+            drives = drive[:, 0, -1] if n_parts == 1 else drive[:, 1, -1] + 1j * drive[:, 0, -1]
+            state = self.poles * (last[:, 0, -1] + 1j * last[:, 1, -1]) + drives
         return state
 
 

@@ -2,37 +2,53 @@
 
 Between blows a force window makes the force zero: nothing acts. Within a blow the sensor errs as much, and all that
 follows is the answer to what acted, not to what it showed: each blow's answer is then off by a little of its own, many
-times the noise of the outputs where that is small. With errors e of the force, white, of the variance that it shows at
-rest, what is left is
+times the noise of the outputs where that is small. With x what a force lacked, white, of the variance Q that it shows
+at rest, what is left is
 
-    r = T e + n,   T = the answers to unit pulses,   var n = R,   var e = Q
+    r = T x + n,   T = the answers to unit pulses,   var n = s W^-1,   var x = Q
 
-and the likeliest e, for a model, is (T' R^-1 T + Q^-1)^-1 T' R^-1 r (Gauss-Markov, with what the sensor is known by as
-the prior). Less of that, and refined again, the model is the likeliest for both noises. Rows in which a blow acts are
-not asked, only what follows: what a blow does beyond half the sampling rate ends with it.
+The model moves with x: P projects on all that its parameters explain. So with
+
+    H = T'W (I - P) T,   b = T'W (I - P) r,   var b = s H + H Q H
+
+the likeliest x is (H + s Q^-1)^-1 b (Gauss-Markov, with what the sensor is known by as the prior), s (H + s Q^-1)^-1 is
+how far it may be off, and s is the likeliest for r: noise of the outputs alone, not the answers to what is looked for.
+Added to the force, and refined again, the model is the likeliest for both noises. Rows in which a blow acts are not
+asked, only what follows: what a blow does beyond half the sampling rate ends with it.
 
 What is left may say no: errors larger than the sensor's are of something else (a structure that is not linear answers
 each blow as differently), and the force stays as it was measured.
 
 References:
-    Van Huffel and Vandewalle, The Total Least Squares Problem, SIAM, 1991, doi:10.1137/1.9781611971002, chapter 8.
+    Van Huffel and Vandewalle, The Total Least Squares Problem, SIAM, 1991, doi:10.1137/1.9781611971002, chapter 8;
+    Golub and Pereyra, SIAM Journal on Numerical Analysis 10(2), 1973, 413-432, doi:10.1137/0710036 (projection);
+    Harville, Journal of the American Statistical Association 72(358), 1977, 320-338, doi:10.2307/2286796 (likeliest
+    variances).
 """
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
-from modal.estimation.free_run import ModalRecursion
+from modal.estimation.free_run import powers_of
 from modal.estimation.modal_parameters import errors_of
-from modal.estimation.output_error import OutputError, RefinementStep, refine, step_at
-from modal.estimation.weights import UNTIL_STILL, Weighted, weighted
-from okid.arrays import TINY, BoolArray, FloatArray
+from modal.estimation.modal_states import CHUNK, IndexArray, signals_of
+from modal.estimation.output_error import (
+    OutputError,
+    RefinementStep,
+    inverse_root,
+    refine,
+    scores_of,
+    slopes_of,
+    step_at,
+    step_equations,
+)
+from modal.estimation.weights import UNTIL_STILL, Weighted, beside_blows, set_aside, struck_apart, weighted
+from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
+from okid.rows import runs_of
 
-CHUNK_VALUES = 1 << 21
-"""Values of answers at a time."""
 MOST = 1000
 """Errors of a record's forces up to which all of them are told together."""
 CHANCE = 1e-3
@@ -43,23 +59,20 @@ STANDS_STILL = 1e-3
 """or until a turn moves the error by no more than this share of it."""
 TOLD = 1e-6
 """A combination of the force's errors is told by what follows from so much of the noise's power on."""
+ROUNDING = 1e-10
+"""Relative power of what is left of an answer beside the model that is rounding."""
 
 
 def forces_told(
-    step: RefinementStep,
-    data: OutputError,
-    told: OutputError,
-    *,
-    acting: Sequence[BoolArray],
-    variances: FloatArray,
-    least_gain: float,
+    model: Weighted, data: OutputError, *, acting: Sequence[BoolArray], variances: FloatArray, least_gain: float
 ) -> tuple[Weighted, tuple[FloatArray, ...]]:
-    """Weighted, with the likeliest forces by turns until neither moves.
+    """The likeliest forces by turns with the model until neither moves, and rows weighed by what is left then.
+
+    Rows in which a blow errs by itself, or what a filter rings on does, are no longer asked once they are known.
 
     Args:
-        step: the model.
+        model: with forces as they were measured, or the likeliest ones so far.
         data: with forces as they were measured.
-        told: the same with the likeliest ones so far, to which the model was fitted.
         acting: (n_samples,) a record, True where a blow acts.
         variances: (n_records, n_inputs) of the noise of the forces, of the data.
         least_gain: relative decrease of the error by a step below which it is the last.
@@ -68,26 +81,34 @@ def forces_told(
         The model, and (n_samples, n_inputs) a record, what the forces of the data erred by; none where what is left is
         larger than noise of the sensors makes it, and then forces are as they were measured.
     """
-    plain = weighted(step, told, least_gain)
+    first, erred = _told_to(model, data, beside_blows(acting), variances, least_gain)
+    apart = struck_apart(first, acting, least_gain)
+    if not (apart.data.measured and variances.any()):
+        return apart, erred
+    return _told_to(apart, data, [~rows[:, 0] for rows in apart.data.measured], variances, least_gain)
+
+
+def _told_to(
+    model: Weighted, data: OutputError, aside: Sequence[BoolArray], variances: FloatArray, least_gain: float
+) -> tuple[Weighted, tuple[FloatArray, ...]]:
+    """As `forces_told`, beside the rows that are given."""
     if not variances.any():
-        return plain, ()
-    triples = zip(plain.data.records, data.records, plain.record_scale, strict=True)
-    records = tuple(replace(one, inputs=own.inputs / size) for one, own, size in triples)
-    own_variances = variances / np.square(plain.record_scale)[:, np.newaxis]
-    again, now, errors = by_turns(
-        plain.step, replace(plain.data, records=records), acting, own_variances, least_gain, weights=plain.weights
-    )
+        return model, ()
+    triples = zip(model.data.records, data.records, model.record_scale, strict=True)
+    measured = replace(model.data, records=tuple(replace(one, inputs=own.inputs / k) for one, own, k in triples))
+    own_variances = variances / np.square(model.record_scale)[:, np.newaxis]
+    step, now, errors = by_turns(model.step, measured, aside, own_variances, least_gain, weights=model.weights)
     if not errors:
-        return weighted(step_at(step.parameters, data), data, least_gain), ()
-    settled = weighted(again, now, least_gain)
-    erred = tuple(own * size for own, size in zip(errors, plain.record_scale, strict=True))
-    return replace(settled, record_scale=plain.record_scale * settled.record_scale), erred
+        step = step_at(step.parameters, now, weights=model.weights)
+    settled = weighted(step, now, least_gain)
+    settled = replace(settled, record_scale=model.record_scale * settled.record_scale)
+    return settled, tuple(own * k for own, k in zip(errors, model.record_scale, strict=False))
 
 
 def by_turns(
     step: RefinementStep,
     data: OutputError,
-    acting: Sequence[BoolArray],
+    aside: Sequence[BoolArray],
     variances: FloatArray,
     least_gain: float,
     *,
@@ -98,7 +119,7 @@ def by_turns(
     Args:
         step: the model.
         data: with forces as they were measured.
-        acting: (n_samples,) a record, True where a blow acts.
+        aside: (n_samples,) a record, True where a blow acts, or errs by itself, and is not asked.
         variances: (n_records, n_inputs) of the noise of the forces, of the data.
         least_gain: relative decrease of the error by a step below which it is the last.
         weights: (n_outputs, n_outputs) of the squared errors.
@@ -108,83 +129,346 @@ def by_turns(
         what is left is larger than noise of the sensors makes it.
     """
     now, told = step, data
-    errors: tuple[FloatArray, ...] = ()
-    for _ in range(TURNS if variances.any() and step.layout.n_poles else 0):
-        errors = _errors(now, data, [~rows for rows in acting], variances)
-        if not errors:
+    errors = tuple(np.zeros_like(record.inputs) for record in data.records)
+    turns = TURNS if variances.any() and step.layout.n_poles else 0
+    for _ in range(turns):
+        likely = likely_forces(now, told, errors, aside, variances)
+        if likely is None or not likely.chance > CHANCE:
             return step, data, ()
+        errors = likely.errors(data)
         pairs = zip(data.records, errors, strict=True)
         told = replace(data, records=tuple(replace(one, inputs=one.inputs - own) for one, own in pairs))
         begun = step_at(now.parameters, told, weights=weights)
         now = refine(begun, told, n_steps=UNTIL_STILL, least_gain=least_gain, weights=weights)[-1]
         if now.error > (1.0 - STANDS_STILL) * begun.error:
             break
-    return now, told, errors
+    return now, told, errors if turns else ()
 
 
-def _errors(
-    step: RefinementStep, data: OutputError, quiet: Sequence[BoolArray], variances: FloatArray
-) -> tuple[FloatArray, ...]:
-    """(n_samples, n_inputs) a record, the likeliest errors of the forces; none where what is left is not of them.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class LikelyForces:
+    """What the forces of records erred by: the likeliest, and how far it may be off.
+
+    Attributes:
+        row: (n,) a record, of each error.
+        which: (n,) a record, its input.
+        deviation: (n,) a record, of the sensor.
+        directions: (n, n_told) a record, combinations of errors, of unit deviation, that what follows tells of alone.
+        vectors: (n_told of all records, n_told) combinations of those that are independent of each other.
+        power: (n_told,) of the answer to each, beside what the model explains, over that of the noise.
+        likeliest: (n_told,) of each, in deviations of the sensor.
+        chance: of errors as large as those that are left by noise of the sensors.
+    """
+
+    row: tuple[IndexArray, ...]
+    which: tuple[IndexArray, ...]
+    deviation: tuple[FloatArray, ...]
+    directions: tuple[FloatArray, ...]
+    vectors: FloatArray
+    power: FloatArray
+    likeliest: FloatArray
+    chance: float
+
+    @property
+    def times(self) -> float:
+        """How many times as large as by noise of the sensors and of the outputs what is left is."""
+        return float(np.sqrt(np.mean(self.likeliest**2 * (1.0 + self.power) / self.power)))
+
+    def errors(self, data: OutputError) -> tuple[FloatArray, ...]:
+        """(n_samples, n_inputs) a record, the likeliest."""
+        found = tuple(np.zeros_like(record.inputs) for record in data.records)
+        told = np.split(self.vectors @ self.likeliest, np.cumsum([own.shape[1] for own in self.directions])[:-1])
+        for own, row, which, size, directions, one in zip(
+            found, self.row, self.which, self.deviation, self.directions, told, strict=True
+        ):
+            own[row, which] = size * (directions @ one)
+        return found
+
+    def drawn(self, rng: np.random.Generator, n_draws: int) -> list[FloatArray]:
+        """(n, n_draws) a record, what else they may have erred by: where nothing follows, as the sensor errs."""
+        told = (self.vectors / np.sqrt(1.0 + self.power)) @ rng.standard_normal((self.power.size, n_draws))
+        parts = np.split(told, np.cumsum([own.shape[1] for own in self.directions])[:-1])
+        found = []
+        for size, directions, one in zip(self.deviation, self.directions, parts, strict=True):
+            free = rng.standard_normal((size.size, n_draws))
+            found.append(size[:, np.newaxis] * (free + directions @ (one - directions.T @ free)))
+        return found
+
+
+def likely_forces(
+    step: RefinementStep,
+    told: OutputError,
+    erred: Sequence[FloatArray],
+    aside: Sequence[BoolArray],
+    variances: FloatArray,
+) -> LikelyForces | None:
+    """The likeliest errors of the forces beside all that the model can explain; None where there are none or too many.
 
     Args:
-        step: the model.
-        data: with forces as they were measured.
-        quiet: (n_samples,) a record, False where a blow acts.
+        step: the model, fitted to the data.
+        told: data with forces less what they are thought to have erred by.
+        erred: (n_samples, n_inputs) a record, by that.
+        aside: (n_samples,) a record, True where a blow acts, or errs by itself, and is not asked.
         variances: (n_records, n_inputs) of the noise of the forces; zero where there is none.
     """
-    pairs = zip(quiet, errors_of(step, data), strict=True)
-    asked = [np.where(rows[:, np.newaxis], own, np.nan) for rows, own in pairs]
-    counts = np.sum([np.isfinite(own).sum(axis=0) for own in asked], axis=0)
-    noise = np.sqrt(np.sum([np.nansum(np.square(own), axis=0) for own in asked], axis=0) / np.maximum(counts, 1) + TINY)
-    found, size, number = [], 0.0, 0
-    for record, own, variance in zip(data.records, asked, variances, strict=True):
-        moves = record.inputs != np.median(record.inputs, axis=0)  # a force window leaves no noise elsewhere
-        row, which = np.nonzero(moves & (variance > 0.0))
-        if row.size > MOST:
-            return ()
-        found.append(np.zeros_like(record.inputs))
-        if not row.size:
-            continue
-        drives, kind = np.unique(which, return_inverse=True)
-        gram, product = _told(_pulses(step, drives, record.n_samples) / noise, row, kind, own / noise)
-        deviation = np.sqrt(variance[which])
-        told, directions = scipy.linalg.eigh(gram * np.outer(deviation, deviation))
-        told = np.maximum(told, 0.0)
-        score = directions.T @ (deviation * product)
-        seen = told > TOLD
-        size += float((score[seen] ** 2 / (told[seen] * (1.0 + told[seen]))).sum())
-        number += int(seen.sum())
-        found[-1][row, which] = -deviation * (directions @ (score / (1.0 + told)))  # what was not there made no answer
-    return tuple(found) if number and scipy.special.chdtrc(number, size) > CHANCE else ()
+    moves, quiet = [], []
+    for record, wrong, rows, variance in zip(told.records, erred, aside, variances, strict=True):
+        forces = record.inputs + wrong  # a force window leaves no noise elsewhere
+        moves.append((forces != np.median(forces, axis=0)) & (variance > 0.0))
+        quiet.append(~(rows | moves[-1].any(axis=1)))
+    if max(int(own.sum()) for own in moves) > MOST:
+        return None
+    model = _Beside.blows(step, told, quiet)
+    places = [np.nonzero(own) for own in moves]
+    deviations = [np.sqrt(variance[which]) for (_, which), variance in zip(places, variances, strict=True)]
+    parts = zip(places, deviations, quiet, strict=True)
+    left = [_LeftBehind.by(model.step, row, which, size, rows) for (row, which), size, rows in parts]
+    lengths = np.concatenate([own.asked for own in left])
+    grams = _free_grams(step.parameters.poles, model.step.linear.shapes, model.weights, lengths)
+    answers = [_told(own, model, told, number, grams) for number, own in enumerate(left)]
+    before = [
+        own.directions.T @ (-wrong[at] / size)
+        for own, wrong, at, size in zip(answers, erred, places, deviations, strict=True)
+    ]
+    z, power = np.concatenate(before), np.concatenate([one.power for one in answers])
+    explained = np.vstack([one.explained for one in answers])
+    H = np.diag(power) - explained @ explained.T
+    b = np.concatenate([one.product for one in answers]) - explained[:, model.n_linear :] @ model.pull
+    g, X = np.linalg.eigh(H)
+    seen = g > max(TOLD, ROUNDING * power.max(initial=0.0))
+    if not seen.any():
+        return None
+    squares = model.squares - float(model.pull @ model.pull) + float(z @ (2.0 * b + H @ z))
+    g, X = g[seen], X[:, seen]
+    products = X.T @ b + g * (X.T @ z)
+    noise = _noise(g, products, squares, model.n_values - explained.shape[1])
+    return LikelyForces(
+        row=tuple(row for row, _ in places),
+        which=tuple(which for _, which in places),
+        deviation=tuple(deviations),
+        directions=tuple(one.directions for one in answers),
+        vectors=X,
+        power=g / noise,
+        likeliest=-products / (noise + g),  # too much is what was not missing
+        chance=float(scipy.special.chdtrc(g.size, (products**2 / (g * (noise + g))).sum())),
+    )
 
 
-def _pulses(step: RefinementStep, drives: npt.NDArray[np.intp], n: int) -> FloatArray:
-    """(n_drives, n_alive, n_outputs) answers to unit pulses of these inputs, until they have died out."""
-    layout, first = step.layout, 2 * step.layout.n_poles
-    direct = np.zeros((layout.n_outputs, layout.n_inputs))
-    direct[:, : layout.n_direct] = step.linear.coefficients[first : first + layout.n_direct].T
-    recursion = ModalRecursion.of(step.parameters.poles, step.parameters.inputs, step.linear.shapes, direct)
-    answers = []
-    for drive in drives:
-        pulse = np.zeros((recursion.n_alive(n), layout.n_inputs))
-        pulse[0, drive] = 1.0
-        answers.append(recursion.from_rest(pulse))
-    return np.array(answers)
+def _noise(power: FloatArray, products: FloatArray, squares: float, freedom: int) -> float:
+    """Variance of the outputs' noise that is likeliest for what is left beside the model (restricted likelihood).
+
+    Args:
+        power: (n,) g of the answers to independent combinations of errors of unit variance.
+        products: (n,) of what is left with each: of variance s g + g^2.
+        squares: sum of those of what is left.
+        freedom: dimensions that it has.
+    """
+    others = max(1, freedom - power.size)
+    rest = max(squares - float((products**2 / power).sum()), ROUNDING * squares, TINY)
+
+    def surprise(logarithm: float) -> float:
+        s = np.exp(logarithm)
+        own = np.log(s + power) + products**2 / (power * (s + power))
+        return float(others * logarithm + rest / s + own.sum())
+
+    bounds = np.log([0.5 * rest / (others + power.size), 4.0 * max(squares, rest) / others])
+    return float(np.exp(scipy.optimize.minimize_scalar(surprise, bounds=bounds, method="bounded").x))
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Beside:
+    """A model by the rows in which no blow acts, weighed by their noise, and what its parameters explain.
+
+    Attributes:
+        step: the model.
+        weights: (n_outputs,) W of the squared errors.
+        n_values: that are asked.
+        squares: weighted sum of those of the errors.
+        root: (n_free, n_kept) of the inverse of the curvature of poles, participations and initial states.
+        slopes: of the linear part by these.
+        pull: (n_kept,) products of what they explain with the errors.
+    """
+
+    step: RefinementStep
+    weights: FloatArray
+    n_values: int
+    squares: float
+    root: FloatArray
+    slopes: FloatArray
+    pull: FloatArray
+
+    @classmethod
+    def blows(cls, step: RefinementStep, told: OutputError, quiet: Sequence[BoolArray]) -> "_Beside":
+        """The model with its linear part by these rows alone."""
+        asked = set_aside(told, [~rows for rows in quiet])
+        own = step_at(step.parameters, asked)
+        errors = np.vstack(errors_of(own, asked))
+        counts, squares = np.isfinite(errors).sum(axis=0), np.nansum(np.square(errors), axis=0)
+        weights = counts / np.maximum(squares, TINY)
+        normal = step_equations(own, weights=np.diag(weights))
+        root = inverse_root(normal.matrix)
+        return cls(
+            step=own,
+            weights=weights,
+            n_values=int(counts.sum()),
+            squares=float((weights * squares).sum()),
+            root=root,
+            slopes=slopes_of(own),
+            pull=root.T @ normal.gradient,
+        )
+
+    @property
+    def n_linear(self) -> int:
+        """Dimensions of the linear part."""
+        return sum(len(one.inverse_factor) * len(one.outputs) for one in self.step.sums)
+
+    def explains(self, products: FloatArray) -> FloatArray:
+        """(n, n_linear + n_kept) of (n, size, n_outputs) products of signals with each output of n answers."""
+        phi, weighted_products = self.step.layout.regressors, products * self.weights
+        linear = [
+            np.einsum("fr,nro->nfo", one.inverse_factor, products[:, phi][:, :, list(one.outputs)])
+            * np.sqrt(self.weights[list(one.outputs)])
+            for one in self.step.sums
+        ]
+        others = scores_of(self.step, self.slopes, weighted_products) @ self.root
+        return np.hstack([*(one.reshape(len(one), one.shape[1] * one.shape[2]) for one in linear), others])
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _Answers:
+    """What follows the errors of one record's forces, in combinations whose answers are independent of each other.
+
+    Attributes:
+        directions: (n, n_told) combinations of errors, of unit deviation.
+        power: (n_told,) of the answers.
+        explained: (n_told, n_explained) of them by the model.
+        product: (n_told,) with what is left.
+    """
+
+    directions: FloatArray
+    power: FloatArray
+    explained: FloatArray
+    product: FloatArray
 
 
 def _told(
-    pulses: FloatArray, row: npt.NDArray[np.intp], kind: npt.NDArray[np.intp], errors: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """T'T and T'r of pulses, each of one kind, in these rows."""
-    gram, product = np.zeros((row.size, row.size)), np.zeros(row.size)
-    chunk = max(1, CHUNK_VALUES // (row.size * errors.shape[1]))
-    for first in range(0, len(errors), chunk):
-        own = errors[first : first + chunk]
-        since = np.arange(first, first + len(own))[:, np.newaxis] - row
-        alive = ((since >= 0) & (since < pulses.shape[1]))[..., np.newaxis] & np.isfinite(own)[:, np.newaxis, :]
-        answers = np.where(alive, pulses[kind, since.clip(0, pulses.shape[1] - 1)], 0.0)
-        flat = answers.transpose(0, 2, 1).reshape(-1, row.size)
-        gram += flat.T @ flat
-        product += flat.T @ np.nan_to_num(own).ravel()
-    return gram, product
+    left: "_LeftBehind", model: _Beside, told: OutputError, number: int, grams: Mapping[int, FloatArray]
+) -> _Answers:
+    layout = model.step.layout
+    alone, places = layout.alone, layout.places(number)
+    power, directions = np.linalg.eigh(left.gram(grams))
+    told_of = power > TOLD
+    power, directions = power[told_of], directions[:, told_of]
+    signals = signals_of(layout, model.step.parameters, number, told.records[number])
+    products = np.tensordot(directions.T, left.products(signals, alone.size, model.step.linear.shapes), axes=1)
+    error = np.zeros((alone.size, alone.n_outputs))
+    error[alone.regressors] = -model.step.linear.coefficients[places[alone.regressors]]
+    error[alone.outputs] = np.eye(alone.n_outputs)
+    whole = np.zeros((power.size, layout.size, layout.n_outputs))
+    whole[:, places] = products
+    return _Answers(
+        directions=directions,
+        power=power,
+        explained=model.explains(whole),
+        product=np.tensordot(products, error * model.weights, axes=2),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class _LeftBehind:
+    """What errors of one record's forces leave behind: states at the end of a blow, which then move freely.
+
+    Attributes:
+        states: (n, n_poles) by an error of one deviation, at the end of its blow.
+        blow: (n,) to which each error belongs.
+        ends: (n_blows,) row after each of them.
+        asked: (n_blows,) rows from there to the next one, or to the end of the record.
+        poles: (n_poles,).
+    """
+
+    states: ComplexArray
+    blow: IndexArray
+    ends: IndexArray
+    asked: IndexArray
+    poles: ComplexArray
+
+    @classmethod
+    def by(
+        cls, step: RefinementStep, row: IndexArray, which: IndexArray, deviation: FloatArray, quiet: BoolArray
+    ) -> "_LeftBehind":
+        """Errors of these deviations in rows of these inputs, none of which is quiet."""
+        runs = np.array(runs_of(~quiet), dtype=np.intp).reshape(-1, 2)
+        ends, poles = runs[:, 1], step.parameters.poles
+        blow = np.searchsorted(ends, row, side="right")
+        past = poles ** (ends[blow] - 1 - row)[:, np.newaxis]
+        states = past * step.parameters.inputs.T[which] * deviation[:, np.newaxis]
+        asked = np.append(runs[1:, 0], len(quiet)) - ends if len(runs) else ends
+        return cls(states=states, blow=blow, ends=ends, asked=asked, poles=poles)
+
+    @property
+    def until(self) -> IndexArray:
+        """(n_blows,) rows from the end of each blow to that of the next, or of the record."""
+        return np.append(np.diff(self.ends), self.asked[-1:])
+
+    def gram(self, grams: Mapping[int, FloatArray]) -> FloatArray:
+        """(n, n) of the answers in the rows that are asked.
+
+        Args:
+            grams: (2 n_poles, 2 n_poles) of free motion in so many rows.
+        """
+        found = np.zeros((len(self.states), len(self.states)))
+        now = np.zeros_like(self.states)
+        for k, (n_asked, until) in enumerate(zip(self.asked.tolist(), self.until.tolist(), strict=True)):
+            now[self.blow == k] = self.states[self.blow == k]
+            real = np.hstack([now.real, now.imag])
+            found += real @ grams[n_asked] @ real.T
+            now *= self.poles**until
+        return 0.5 * (found + found.T)
+
+    def products(self, signals: Iterable[tuple[int, FloatArray]], size: int, shapes: ComplexArray) -> FloatArray:
+        """(n, size, n_outputs) of the answers with signals, in the rows that are asked.
+
+        Each stretch of rows adds to the sums over k of s(k) lambda^k, which are run through backwards.
+
+        Args:
+            signals: first row and (n_rows, size) of each chunk of rows, one after the other.
+            size: number of signals.
+            shapes: (n_outputs, n_poles).
+        """
+        powers = powers_of(self.poles, CHUNK)
+        sums = np.zeros((len(self.ends), size, self.poles.size), dtype=np.complex128)
+        for first, every in signals:
+            for k, (end, n_asked) in enumerate(zip(self.ends, self.asked, strict=True)):
+                start, stop = max(first, end), min(first + len(every), end + n_asked)
+                if start < stop:
+                    own = every[start - first : stop - first]
+                    sums[k] += own.T @ powers[: len(own)] * self.poles ** (start - end)
+        found = np.empty((len(self.states), size, len(shapes)))
+        later = np.zeros((size, self.poles.size), dtype=np.complex128)
+        for k in reversed(range(len(self.ends))):
+            later = sums[k] + self.poles ** self.until[k] * later
+            of_blow = np.flatnonzero(self.blow == k)
+            for output, shape in enumerate(shapes):
+                found[of_blow, :, output] = ((self.states[of_blow] * shape) @ later.T).real
+        return found
+
+
+def _free_grams(
+    poles: ComplexArray, shapes: ComplexArray, weights: FloatArray, lengths: IndexArray
+) -> dict[int, FloatArray]:
+    """(2 n_poles, 2 n_poles) of free motion, weighted, in so many rows, by real and imaginary parts of where it starts.
+
+    Row by row: where two real poles nearly coincide closed sums cancel.
+    """
+    n = poles.size
+    found, total, first = {}, np.zeros((2 * n, 2 * n)), 0
+    weighted = np.sqrt(weights)[:, np.newaxis] * shapes
+    for length in np.unique(lengths):
+        while first < length:
+            n_rows = min(CHUNK, length - first)
+            moved = (powers_of(poles, n_rows) * poles**first)[:, np.newaxis] * weighted
+            flat = np.concatenate([moved.real, -moved.imag], axis=2).reshape(-1, 2 * n)
+            total = total + flat.T @ flat
+            first += n_rows
+        found[int(length)] = total
+    return found

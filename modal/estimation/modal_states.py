@@ -25,8 +25,8 @@ PARTS = 10
 """Parts of all records whose sums are kept apart where rows take turns, at least one a record."""
 IndexArray = npt.NDArray[np.intp]
 
-CHUNK = 1024
-"""Hold so many rows of signals at a time: they stay in cache."""
+CHUNK = 2048
+"""Hold so many rows of signals at a time: the fewer turns the quicker while they stay in cache, as of 30 poles."""
 NONE = -2
 """Hold no block out: none has this label."""
 DIED_OUT = 1e-100
@@ -263,6 +263,8 @@ class Driven:
         participations: (n_poles, n_inputs) of its own inputs.
         start: (n_poles,) initial states.
         partners: (n_inputs + 1 + n_outputs, n_samples) inputs, those that act at once last, one, and outputs.
+        recursion: of the poles, over a chunk.
+        powers: (n_rows, n_poles) of the poles, over a chunk.
     """
 
     layout: SignalLayout
@@ -271,19 +273,36 @@ class Driven:
     participations: ComplexArray
     start: ComplexArray
     partners: FloatArray
+    recursion: PoleRecursion
+    powers: ComplexArray
 
     @classmethod
-    def of(cls, layout: SignalLayout, parameters: ModalParameters, index: int, record: Record) -> "Driven":
-        """By the inputs whose signals it has."""
+    def of(
+        cls,
+        layout: SignalLayout,
+        parameters: ModalParameters,
+        index: int,
+        record: Record,
+        *,
+        beside: "Driven | None" = None,
+    ) -> "Driven":
+        """By the inputs whose signals it has; what its poles do is known of the one beside if that is as long."""
         own, order = layout.inputs_of(index), np.argsort(np.angle(parameters.poles))
+        poles, longest = parameters.poles[order], min(record.n_samples, CHUNK)
+        if beside is None or len(beside.powers) < longest:
+            recursion, powers = PoleRecursion.of(poles, longest), powers_of(poles, longest)
+        else:
+            recursion, powers = beside.recursion, beside.powers
         inputs = record.inputs[:, np.roll(own, -layout.alone.n_direct)].T
         return cls(
             layout=layout.alone,
             order=order,
-            poles=parameters.poles[order],
+            poles=poles,
             participations=parameters.inputs[np.ix_(order, own)],
             start=parameters.states[index, order],
             partners=np.vstack([inputs, np.ones((1, record.n_samples)), record.outputs.T]),
+            recursion=recursion,
+            powers=powers,
         )
 
     @property
@@ -317,8 +336,7 @@ class Driven:
         the next one.
         """
         poles, n, m, n_samples = self.poles, self.poles.size, self.layout.n_inputs, self.partners.shape[1]
-        longest = min(n_samples, CHUNK)
-        recursion, powers = PoleRecursion.of(poles, longest), powers_of(poles, longest)
+        longest, recursion, powers = min(n_samples, CHUNK), self.recursion, self.powers
         with np.errstate(divide="ignore"):
             alive = 1.0 + np.floor(np.log(DIED_OUT) / np.log(np.abs(poles)))
         inputs = np.roll(self.partners[:m], self.layout.n_direct, axis=0)[:, np.newaxis]
@@ -349,3 +367,27 @@ class Driven:
             signals[self.n_families * n : self.n_signals - 2 * n] = self.partners[:, first : first + n_rows]
             memory[-1] *= powers[n_rows - 1] * poles
             yield first, signals, memory.T.copy()
+
+
+def blocks_of_answers(
+    layout: SignalLayout, parameters: ModalParameters, records: Sequence[Record], n_parts: int
+) -> tuple[Block, ...]:
+    """Blocks that hold equal parts of what the rows tell of the poles, `n_parts` a pole and record.
+
+    What a blow tells of a mode lies within the mode's memory, a short one for a mode that is soon over: even blocks
+    would hold it all. The squares of a state's sensitivity to its pole say where it lies; poles count alike.
+    """
+    n, alone = layout.n_poles, layout.alone
+    told = []
+    for index, record in enumerate(records):
+        parts = signals_of(layout, parameters, index, record)
+        real, imaginary = (slice(part.start, part.start + n) for part in (alone.real, alone.imaginary))
+        told.append(np.vstack([rows[:, real] ** 2 + rows[:, imaginary] ** 2 for _, rows in parts]))
+    total = np.maximum(np.sum([one.sum(axis=0) for one in told], axis=0), np.finfo(float).tiny)
+    blocks: list[Block] = []
+    for index, one in enumerate(told):
+        share = np.cumsum((one / total).sum(axis=1))
+        number = np.floor(n_parts * len(told) * share).astype(int)
+        edges = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(one)]
+        blocks += [Block(record=index, first=first, last=last, label=-1) for first, last in pairwise(edges)]
+    return tuple(blocks)

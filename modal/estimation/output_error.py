@@ -43,6 +43,8 @@ BEYOND_THE_ENDS = 64
 """Continue an input by so many samples beyond the ends of its record: what it does there matters within a few."""
 ROUND_OFF = 1e-13
 """Relative size of directions of the regressors that are rounding error."""
+LEAST_CURVATURE = 1e-12
+"""Relative curvature below which a direction of the parameters is not in the data."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -344,6 +346,59 @@ def step_equations(step: RefinementStep, *, weights: FloatArray, coordinates: "C
     matrix = np.block([[total.real, -total.imag], [difference.imag, difference.real]])
     matrix, gradient = coordinates.taken(step.parameters, matrix, np.concatenate([slope.real, -slope.imag]))
     return Normal(matrix=0.5 * (matrix + matrix.T), gradient=gradient)
+
+
+def outputs_of(step: RefinementStep, real: FloatArray, imaginary: FloatArray) -> FloatArray:
+    """(n_free, ..., n_outputs) real part of shape times sensitivity, each parameter's change of the outputs.
+
+    Args:
+        step: the model.
+        real: (n_sensitivities, ...) products with the sensitivities' real parts; last axis n_outputs or 1.
+        imaginary: the same with the imaginary parts.
+    """
+    c = step.linear.shapes.T[step.layout.owners]
+    c = c.reshape(c.shape[0], *([1] * (real.ndim - 2)), c.shape[1])
+    raw = np.concatenate([c.real * real - c.imag * imaginary, -c.imag * real - c.real * imaginary])
+    products: FloatArray = np.tensordot(PolesAndParticipations().slopes(step.parameters).T, raw, axes=1)
+    return products
+
+
+def slopes_of(step: RefinementStep) -> FloatArray:
+    """(n_free, n_regressors, n_outputs) T: a change of the parameters changes the coefficients by -T of it."""
+    layout, phi = step.layout, step.layout.regressors
+    real, imaginary = np.empty((2, layout.n_sensitivities, layout.n_regressors, layout.n_outputs))
+    for one in step.sums:
+        inverse = one.inverse_factor.T @ one.inverse_factor
+        seen = list(one.outputs)
+        real[:, :, seen] = (one.gram[layout.real, phi] @ inverse)[:, :, np.newaxis]
+        imaginary[:, :, seen] = (one.gram[layout.imaginary, phi] @ inverse)[:, :, np.newaxis]
+    return outputs_of(step, real, imaginary)
+
+
+def scores_of(step: RefinementStep, slopes: FloatArray, products: FloatArray) -> FloatArray:
+    """(n, n_free) gradient of each of (n, size, n_outputs) weighted products, the linear part projected out."""
+    layout = step.layout
+    each = products.swapaxes(0, 1)
+    direct = outputs_of(step, each[layout.real], each[layout.imaginary])
+    left = np.einsum("tno,nso->tso", slopes, each[layout.regressors])
+    return np.asarray((direct - left).sum(axis=2).T)
+
+
+def inverse_root(matrix: FloatArray) -> FloatArray:
+    """(n, n_kept) R with R R' the pseudo-inverse of a curvature, after scaling to a unit diagonal.
+
+    A direction that the data do not show is left at rest.
+    """
+    size = sizes_of(matrix)
+    values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
+    kept = values > LEAST_CURVATURE
+    return np.asarray(vectors[:, kept] / np.sqrt(values[kept]) / size[:, np.newaxis])
+
+
+def sizes_of(matrix: FloatArray) -> FloatArray:
+    """(n,) roots of the diagonal, one where there is nothing."""
+    size = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    return np.where(size > 0.0, size, 1.0)
 
 
 def without_what_moves_between_samples(step: RefinementStep, data: OutputError) -> OutputError:

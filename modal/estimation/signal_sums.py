@@ -67,8 +67,9 @@ def signal_grams_over(
     layout = layout_of(parameters, records, n_direct)
     wholes = [np.zeros((layout.size, layout.size)) for _ in choices]
     parts = np.zeros((len(choices), len(blocks), *2 * (layout.alone.n_regressors + layout.n_outputs,)))
+    beside: Driven | None = None
     for r, record in enumerate(records):
-        driven = Driven.of(layout, parameters, r, record)
+        beside = driven = Driven.of(layout, parameters, r, record, beside=beside)
         own = [i for i, block in enumerate(blocks) if block.record == r]
         totals = [
             _Total.of(driven, rows[r], [(blocks[i], part[i]) for i in own], held_out)
@@ -91,6 +92,7 @@ class _Total:
     Attributes:
         driven: the record's model.
         rows: (n_samples,) that count.
+        all_count: whether all of them do.
         counted: (n_samples,) those of them that train.
         runs: of `counted`, first row and one past the last.
         blocks: and the products of what is known of each, over its rows that count.
@@ -101,6 +103,7 @@ class _Total:
 
     driven: Driven
     rows: BoolArray
+    all_count: bool
     counted: BoolArray
     runs: Sequence[tuple[int, int]]
     blocks: Sequence[tuple[Block, FloatArray]]
@@ -120,6 +123,7 @@ class _Total:
         return cls(
             driven=driven,
             rows=rows,
+            all_count=bool(rows.all()),
             counted=counted,
             runs=runs,
             blocks=blocks,
@@ -135,8 +139,8 @@ class _Total:
             first, last = max(start, block.first), min(stop, block.last)
             first += (block.first - first) % block.step
             if first < last:
-                own, there = linear[:, first - start : last - start : block.step], self.rows[first : last : block.step]
-                own = own if there.all() else own[:, there]
+                own = linear[:, first - start : last - start : block.step]
+                own = own if self.all_count else own[:, self.rows[first : last : block.step]]
                 own = np.ascontiguousarray(own) if block.step > 1 else own  # BLAS takes no steps within a signal
                 total += own @ own.T  # noqa: PLW2901
         if len(self.runs) <= len(self.blocks):

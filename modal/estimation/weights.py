@@ -12,8 +12,10 @@ References:
     Green, Journal of the Royal Statistical Society B 46(2), 1984, 149-192 (iteratively reweighted least squares).
 """
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -30,6 +32,10 @@ WEIGHTINGS = 4
 """Rounds in which outputs' weights and the model settle."""
 BESIDE = 2
 """Ask so many rows more on either side of a blow at a time, or a part of it that takes `WEIGHTINGS` rounds."""
+ASIDE = 1e-6
+"""Squared weight of rows that are set aside: enough to tell what nothing else does, and no more."""
+MOVES = 0.5
+"""What errs while a motion falls by less does not follow it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,12 +61,23 @@ class Weighted:
 
     def apart(self, loud: Sequence[BoolArray], least_gain: float) -> "Weighted":
         """With these rows weighed by their errors over those of the others."""
-        quiet = [~rows for rows in loud]
-        measured = tuple(np.tile(rows[:, np.newaxis], self.step.layout.n_outputs) for rows in quiet)
-        times = _size(self.errors, loud, than=quiet)[1]
-        data = replace(self.data, measured=measured, elsewhere=min(1.0, float(np.exp(-np.log(times).mean()))))
+        times = _size(self.errors, loud, than=[~rows for rows in loud])[1]
+        data = set_aside(self.data, loud, counting=min(1.0, float(np.exp(-np.log(times).mean()))))
         now = weighted(step_at(self.step.parameters, data), data, least_gain)
         return replace(now, record_scale=self.record_scale * now.record_scale)
+
+
+def set_aside(data: OutputError, rows: Sequence[BoolArray], *, counting: float = ASIDE) -> OutputError:
+    """Rows as if they were not measured, with a squared weight by which they tell what no other row does: feedthrough.
+
+    Args:
+        data: all of which was measured, or has other rows set aside.
+        rows: (n_samples,) a record.
+        counting: that weight.
+    """
+    n_outputs = data.records[0].n_outputs
+    measured = tuple(np.repeat(~own[:, np.newaxis], n_outputs, axis=1) for own in rows)
+    return replace(data, measured=measured, elsewhere=counting)
 
 
 def weighted(step: RefinementStep, data: OutputError, least_gain: float) -> Weighted:
@@ -89,8 +106,8 @@ def struck_apart(plain: Weighted, acting: Sequence[BoolArray], least_gain: float
     """The rows in which a blow acts weighed by what is left there, too, where that ends with the blow.
 
     Then they count as not measured, and with so little weight that they tell only what no other row does: feedthrough.
-    What a filter rings on belongs to them, for as long as the blow acts at most; errors that go on beyond are of
-    something else, and all rows count alike.
+    What a filter rings on belongs to them, for as long as the blow acts, or the motion goes on, at most; errors that go
+    on beyond are of something else, and all rows count alike.
 
     Each question is asked of the model that is likeliest by the weights so far: what a noisy record does to the
     feedthrough would be an error of the others' blows.
@@ -103,8 +120,7 @@ def struck_apart(plain: Weighted, acting: Sequence[BoolArray], least_gain: float
     now, loud = plain, list(acting)
     if not _louder(plain.errors, loud, than=[~rows for rows in loud]):
         return plain
-    longest = max(last - first for rows in acting for first, last in runs_of(rows))
-    *_, farthest = _beside(acting, max(BESIDE, longest))
+    longest, farthest = _longest(acting), _while_it_moves(plain, acting)
     while True:
         now = now.apart(loud, least_gain)
         behind, ahead, wider = _beside(loud, max(BESIDE, longest // WEIGHTINGS))
@@ -114,6 +130,41 @@ def struck_apart(plain: Weighted, acting: Sequence[BoolArray], least_gain: float
         before, loud = loud, [own & most for own, most in zip(wider, farthest, strict=True)]
         if all((own == one).all() for own, one in zip(loud, before, strict=True)):
             return plain
+
+
+def beside_blows(acting: Sequence[BoolArray]) -> list[BoolArray]:
+    """(n_samples,) a record: rows in which a blow acts, or a filter may ring by it: for as long at most."""
+    *_, farthest = _beside(acting, max(BESIDE, _longest(acting)))
+    return farthest
+
+
+def _while_it_moves(model: Weighted, acting: Sequence[BoolArray]) -> list[BoolArray]:
+    """Besides, what follows a blow until the motion falls to `MOVES` of what it was.
+
+    What is not linear follows the motion, so what is over while that goes on is not of it.
+    """
+    parameters = model.step.parameters
+    poles, of_shapes = parameters.poles, np.diag(model.weights) @ np.abs(model.step.linear.shapes) ** 2
+    there = beside_blows(acting)
+    for own, rows, record, start in zip(there, acting, model.data.records, parameters.states, strict=True):
+        state, begun = start, 0
+        for (first, last), (until, _) in pairwise([*runs_of(rows), (len(rows), len(rows))]):
+            past = poles ** np.arange(last - 1 - first, -1, -1)[:, np.newaxis]
+            driven = past * (record.inputs[first:last] @ parameters.inputs.T)
+            state, begun = poles ** (last - begun) * state + driven.sum(axis=0), last
+            power = of_shapes * np.abs(state) ** 2
+            least, fading = MOVES**2 * power.sum(), np.abs(poles) ** 2
+            own[last : last + _rows_above(least, power, fading, until - last)] = True
+    return there
+
+
+def _rows_above(least: float, power: FloatArray, fading: FloatArray, most: int) -> int:
+    """Rows, of at most so many, until a sum of powers that fade at rates of their own falls below the least."""
+    return bisect_left(range(most), True, key=lambda k: bool(power @ fading**k < least))
+
+
+def _longest(acting: Sequence[BoolArray]) -> int:
+    return max((last - first for rows in acting for first, last in runs_of(rows)), default=0)
 
 
 def _beside(rows: Sequence[BoolArray], n: int) -> tuple[list[BoolArray], list[BoolArray], list[BoolArray]]:

@@ -27,7 +27,16 @@ from modal.estimation.feedback import inputs_made_by
 from modal.estimation.free_run import powers_of
 from modal.estimation.modal_parameters import errors_of
 from modal.estimation.modal_states import CHUNK, signals_of
-from modal.estimation.output_error import LinearPart, PolesAndParticipations, RefinementStep, step_equations
+from modal.estimation.output_error import (
+    LinearPart,
+    PolesAndParticipations,
+    RefinementStep,
+    inverse_root,
+    scores_of,
+    sizes_of,
+    slopes_of,
+    step_equations,
+)
 from modal.estimation.signal_sums import signal_grams
 from modal.identification.refined_search import RefinedModel
 from modal.modes.modal_form import discrete_poles
@@ -55,8 +64,6 @@ N_STEPS = 100
 """Take so many steps to the powers of the noises, from all alike."""
 LONGEST_LOOK = 32_768
 """Look at the spectrum of so many rows of a record at most."""
-LEAST_CURVATURE = 1e-12
-"""Relative curvature below which a direction of the parameters is not in the data."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -147,11 +154,12 @@ def _white(model: RefinedModel, own: FloatArray | None = None) -> _Loadings:
     variance = (rows * own).sum(axis=0) / np.maximum(rows.sum(axis=0), 1)
     meat = step_equations(step, weights=weights @ np.diag(variance) @ weights).matrix
     # the numbers differ by twenty powers of ten in what they do, so the root is taken at a unit diagonal too
-    size = _sizes(meat)
+    size = sizes_of(meat)
     values, vectors = np.linalg.eigh(meat / np.outer(size, size))
     root = size[:, np.newaxis] * vectors * np.sqrt(np.maximum(values, 0.0))
-    theta = (_inverse(normal.matrix) @ root).T
-    coefficients = -np.einsum("st,tno->sno", theta, _slopes(model))
+    inverse = inverse_root(normal.matrix)
+    theta = (inverse @ (inverse.T @ root)).T
+    coefficients = -np.einsum("st,tno->sno", theta, slopes_of(step))
     return _loadings(
         model,
         theta,
@@ -196,7 +204,7 @@ def _of_records(model: RefinedModel, variances: FloatArray, degrees_of_freedom: 
                 signals = every * np.sqrt(share[first : first + len(every), outputs[:1]])
                 grams[k] += signals.T @ signals
         for gram, outputs in zip(grams, together, strict=True):
-            size = _sizes(gram)
+            size = sizes_of(gram)
             values, vectors = np.linalg.eigh(gram / np.outer(size, size))
             root = size[:, np.newaxis] * vectors * np.sqrt(np.maximum(values, 0.0))
             made = np.einsum("st,kto->kso", root, drawn[..., outputs]) * np.sqrt(variances[number, outputs])
@@ -314,6 +322,8 @@ def _of_inputs(model: RefinedModel, powers: FloatArray) -> tuple[_Loadings, _Loa
     rng = np.random.default_rng(0)
     whole = np.zeros((N_DRAWS, layout.size, layout.n_outputs))
     parts = np.zeros((N_BLOCK_DRAWS, len(data.blocks), *whole.shape[1:]))
+    likely = model.likely_forces(powers) if model.forces_erred else None
+    drawn = [] if likely is None else likely.drawn(rng, N_DRAWS)
     for number, (record, counted) in enumerate(zip(data.records, data.counted, strict=True)):
         recursion = PoleRecursion.of(parameters.poles, min(record.n_samples, CHUNK))
         states = np.zeros((N_DRAWS, n), dtype=np.complex128)
@@ -325,6 +335,9 @@ def _of_inputs(model: RefinedModel, powers: FloatArray) -> tuple[_Loadings, _Loa
             there = counted[first : first + len(signals)]
             for k in range(N_DRAWS):
                 noise = sizes[:, first : first + len(signals)] * rng.standard_normal((m, len(signals)))
+                if likely is not None:  # what follows tells of the rest
+                    told = slice(*np.searchsorted(likely.row[number], [first, first + len(signals)]))
+                    noise[likely.which[number][told], likely.row[number][told] - first] = drawn[number][told, k]
                 state, states[k] = recursion.run(parameters.inputs @ noise, states[k])
                 left = ((step.linear.shapes @ state).real + D @ noise).T * there
                 whole[k, places] += signals.T @ left
@@ -342,8 +355,9 @@ def _pulled(model: RefinedModel, products: FloatArray, degrees_of_freedom: float
     """Changes of the model for each of some (size, n_outputs) products of all signals with errors."""
     step, layout = model.step, model.step.layout
     normal = step_equations(step, weights=model.weights)
-    slopes = _slopes(model)
-    theta = _scores(model, slopes, products @ model.weights) @ _inverse(normal.matrix)
+    slopes = slopes_of(step)
+    inverse = inverse_root(normal.matrix)
+    theta = scores_of(step, slopes, products @ model.weights) @ inverse @ inverse.T
     coefficients = -np.einsum("st,tno->sno", theta, slopes)
     for one in step.sums:
         seen = list(one.outputs)
@@ -356,56 +370,6 @@ def _pulled(model: RefinedModel, products: FloatArray, degrees_of_freedom: float
         noise=np.zeros(layout.n_outputs),
         degrees_of_freedom=degrees_of_freedom,
     )
-
-
-def _inverse(matrix: FloatArray) -> FloatArray:
-    """Pseudo-inverse after scaling to a unit diagonal: a direction that the data do not show is left at rest."""
-    size = _sizes(matrix)
-    values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
-    kept = values > LEAST_CURVATURE
-    return (vectors[:, kept] / values[kept]) @ vectors[:, kept].T / np.outer(size, size)
-
-
-def _sizes(matrix: FloatArray) -> FloatArray:
-    """(n,) roots of the diagonal, one where there is nothing."""
-    size = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    return np.where(size > 0.0, size, 1.0)
-
-
-def _outputs_of(model: RefinedModel, real: FloatArray, imag: FloatArray) -> FloatArray:
-    """(n_free, ..., n_outputs) real part of shape times sensitivity, each parameter's change of the outputs.
-
-    Args:
-        model: with the shapes.
-        real: (n_sensitivities, ...) products with the sensitivities' real parts; last axis n_outputs or 1.
-        imag: the same with the imaginary parts.
-    """
-    layout = model.step.layout
-    c = model.step.linear.shapes.T[layout.owners]
-    c = c.reshape(c.shape[0], *([1] * (real.ndim - 2)), c.shape[1])
-    raw = np.concatenate([c.real * real - c.imag * imag, -c.imag * real - c.real * imag])
-    products: FloatArray = np.tensordot(PolesAndParticipations().slopes(model.step.parameters).T, raw, axes=1)
-    return products
-
-
-def _slopes(model: RefinedModel) -> FloatArray:
-    """(n_free, n_regressors, n_outputs) T: a change of the parameters changes the coefficients by -T of it."""
-    layout, phi = model.step.layout, model.step.layout.regressors
-    real, imaginary = np.empty((2, layout.n_sensitivities, layout.n_regressors, layout.n_outputs))
-    for one in model.step.sums:
-        inverse = one.inverse_factor.T @ one.inverse_factor
-        seen = list(one.outputs)
-        real[:, :, seen] = (one.gram[layout.real, phi] @ inverse)[:, :, np.newaxis]
-        imaginary[:, :, seen] = (one.gram[layout.imaginary, phi] @ inverse)[:, :, np.newaxis]
-    return _outputs_of(model, real, imaginary)
-
-
-def _scores(model: RefinedModel, slopes: FloatArray, products: FloatArray) -> FloatArray:
-    """(n, n_free) gradient of each of n weighted products, the linear part projected out."""
-    layout = model.step.layout
-    direct = [_outputs_of(model, one[layout.real], one[layout.imaginary]) for one in products]
-    left = np.einsum("tno,sno->sto", slopes, products[:, layout.regressors])
-    return (np.array(direct) - left).sum(axis=2)
 
 
 def _loadings(

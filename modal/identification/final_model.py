@@ -41,6 +41,7 @@ from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import Choice, ModalModel, Uncertainty
 from modal.preparation.steps import Preparation
 from modal.verdict.filled import seen_alone
+from modal.verdict.linearity import NOT_LINEAR
 from modal.verdict.repeatability import ORDER_SHARES
 from okid.arrays import TINY, BoolArray, FloatArray
 from okid.errors import InsufficientDataError, NumericalError, quiet
@@ -74,6 +75,8 @@ class FinalModel:
         gain: of the model, from its innovations; None where the model has the gain that it was cut with.
         realisation: the likeliest, the refined one, its gain estimated from its innovations, or the one that was cut.
         feedback: of the outputs into the inputs; harmless where it moves no mode of the refined model noticeably.
+        unlike: how many times as far as noise of the force's sensor makes them the answers to blows differ; 0 where
+            chance makes as much.
     """
 
     observer: ObserverFit
@@ -86,6 +89,7 @@ class FinalModel:
     gain: GainEstimate | None
     realisation: Realisation
     feedback: Feedback = "none"
+    unlike: float = 0.0
 
     @property
     def leaves_white_noise(self) -> bool:
@@ -109,14 +113,14 @@ class FinalModel:
             measured: (n_samples, n_outputs) a record, False where a sample was filled; none where all were measured.
 
         Returns:
-            NaN where a sample counts less or not at all: what the free run leaves of filled records, else one step
-            ahead. Nothing where that is coloured.
+            NaN where a sample counts less or not at all: what the free run leaves where that is nearly white, else one
+            step ahead. Nothing where that is coloured.
         """
-        if measured:
-            pairs = zip(left, measured, strict=True) if self.leaves_nearly_white else ()
-            return [np.where(there, one, np.nan) for one, there in pairs]
-        if self.refined is None or not self.apart:
-            return None
+        there = measured or self.apart
+        if self.leaves_nearly_white and there:
+            return [np.where(own, one, np.nan) for one, own in zip(left, there, strict=True)]
+        if measured or self.refined is None or not there:
+            return [] if measured else None
         runs = model_runs(self.realisation, self.refined.as_fitted(records))
         asked = zip(seen_alone(runs.records, self.apart), runs.predicted, strict=True)
         errors = [one.outputs - run.outputs for one, run in asked]
@@ -361,11 +365,13 @@ def with_forces(preparation: Preparation, final: FinalModel) -> tuple[Preparatio
     """With the likeliest forces, where what follows a blow tells them; and told how their sensors err."""
     if final.refined is None:
         return preparation, final
-    final = replace(final, refined=final.refined.told_at_rest(preparation.at_rest))
-    assert final.refined is not None
-    if not final.refined.forces_erred:
-        return preparation, final
-    errors, forces = (np.vstack(own) for own in (final.refined.forces_erred, [r.inputs for r in preparation.records]))
+    refined = final.refined.told_at_rest(preparation.at_rest)
+    final = replace(final, refined=refined)
+    if not refined.forces_erred:
+        likely = refined.likely_forces(refined.at_rest) if refined.acting and preparation.white_at_rest.any() else None
+        refused = likely is not None and likely.chance < NOT_LINEAR
+        return preparation, replace(final, unlike=likely.times) if likely is not None and refused else final
+    errors, forces = (np.vstack(own) for own in (refined.forces_erred, [r.inputs for r in preparation.records]))
     size = np.sqrt(np.square(errors).sum(axis=0) / np.maximum(1, (errors != 0.0).sum(axis=0)))
     told = Choice(
         what="force while a blow acts",
@@ -374,7 +380,7 @@ def with_forces(preparation: Preparation, final: FinalModel) -> tuple[Preparatio
         "force that is likeliest for both differs by "
         f"{100.0 * (size / np.maximum(np.nanmax(np.abs(forces), axis=0), TINY)).max():.2g} % of its largest",
     )
-    records = final.refined.with_forces(preparation.records)
+    records = refined.with_forces(preparation.records)
     return replace(preparation, records=records, choices=(*preparation.choices, told)), final
 
 

@@ -18,9 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from era.gain import inverse as inverse_covariance
-from modal.estimation.output_error import step_equations
+from modal.estimation.output_error import inverse_root, step_equations
 from modal.estimation.prediction_error import LikeliestFit, n_rows_of
-from modal.identification.covariance import LEAST_CURVATURE
 from modal.identification.noise_model import NoiseModel
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import Mode, Uncertainty
@@ -153,11 +152,7 @@ def _loadings(fit: LikeliestFit) -> tuple[FloatArray, FloatArray]:
     # R with the degrees of freedom taken off, so that W R = 1 scaled
     R = fit.covariance
     normal = step_equations(step, weights=inverse_covariance(R), coordinates=fit.coordinates)
-    size = np.sqrt(np.maximum(np.diag(normal.matrix), 0.0))
-    size = np.where(size > 0.0, size, 1.0)
-    values, vectors = np.linalg.eigh(normal.matrix / np.outer(size, size))
-    kept = values > LEAST_CURVATURE
-    theta = (slopes @ (vectors[:, kept] / np.sqrt(values[kept]) / size[:, np.newaxis])).T
+    theta = (slopes @ inverse_root(normal.matrix)).T
     (sums,) = step.sums  # a predictor needs every output of a row
     gram, factor = sums.gram, sums.inverse_factor
     phi, c = layout.regressors, step.linear.shapes.T[layout.owners]

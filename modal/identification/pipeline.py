@@ -27,6 +27,7 @@ from modal.identification.result import Identification
 from modal.identification.set_ups import has_absent_outputs, identify_setups
 from modal.identification.white_noise import White, in_white
 from modal.identification.words import (
+    blows_apart,
     explain_filter,
     explain_gain,
     explain_noise,
@@ -491,6 +492,7 @@ def _identified(
                 powers=powers,
             ),
             *records_apart(*left_alone_and_together(prepared, left)),
+            *blows_apart(final.unlike),
             *noise_words(modes, inflation),
         ),
         record_kind=kind.kind,

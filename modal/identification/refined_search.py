@@ -17,7 +17,7 @@ that it has: then it is the maximum-likelihood estimate for noise on the outputs
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import islice, pairwise
+from itertools import islice
 
 import numpy as np
 
@@ -33,7 +33,7 @@ from modal.estimation.cross_validation import (
     training_decomposition,
     trial_of,
 )
-from modal.estimation.force_noise import by_turns, forces_told
+from modal.estimation.force_noise import LikelyForces, by_turns, forces_told, likely_forces
 from modal.estimation.free_run import begins_at_rest, filled
 from modal.estimation.modal_parameters import (
     Proposal,
@@ -42,7 +42,7 @@ from modal.estimation.modal_parameters import (
     starting_parameters,
     with_weak_mode,
 )
-from modal.estimation.modal_states import Block, blocks_by_turns, blocks_of, signals_of
+from modal.estimation.modal_states import blocks_by_turns, blocks_of, blocks_of_answers
 from modal.estimation.output_error import (
     GROWS_AFTER,
     GROWS_ON,
@@ -54,7 +54,7 @@ from modal.estimation.output_error import (
     without_what_moves_between_samples,
 )
 from modal.estimation.prediction_error import NOISE_FREE
-from modal.estimation.weights import UNTIL_STILL, struck_apart, whiteness_ratio
+from modal.estimation.weights import UNTIL_STILL, beside_blows, set_aside, weighted, whiteness_ratio
 from modal.identification.order_search import Search, as_good, significantly_worse
 from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
@@ -125,8 +125,10 @@ def refined_search(
     # by rows, of a long record one stretch is scored
     pairs = zip(acting, found.ground.first_rows, found.ground.scaled, strict=False)
     seen = [rows[first : first + record.n_samples] for rows, first, record in pairs]
-    turns = partial(by_turns, data=shop.data, acting=seen, variances=of_forces, least_gain=GROWS_ON)
-    pursued = _pursued(shop, first, found.limits.model_orders, turns) if resting else []
+    beside = beside_blows(seen)
+    following = shop.data if shop.data.measured or not seen else set_aside(shop.data, beside)
+    turns = partial(by_turns, data=following, aside=beside, variances=of_forces, least_gain=GROWS_ON)
+    pursued = _pursued(shop, first, found.limits.model_orders, following, turns) if resting else []
     best, without_gain = min(found.trials[0].error, _least_error(pursued)), 0
     for i, n in enumerate(orders):
         refined[*first, n] = _trials(shop, (*first, n), hopeless=HOPELESS * best)
@@ -167,6 +169,7 @@ def _pursued(
     shop: _Workshop,
     observer: tuple[int, float],
     model_orders: Sequence[int],
+    data: OutputError,
     turns: Callable[[RefinementStep], tuple[RefinementStep, OutputError, tuple[FloatArray, ...]]],
 ) -> list[Trial]:
     """Trials of models that grow from nothing by the strongest mode of what is left, as long as held-out rows gain.
@@ -182,13 +185,13 @@ def _pursued(
         shop: of the refinements.
         observer: (order, ridge) whose evidence the models keep.
         model_orders: that may be tried: even ones up to the largest, or the one that was given.
+        data: of the workshop, less the rows in which a blow acts or a filter rings by it: no mode is of these.
         turns: the model and the likeliest forces by turns, and data with those.
     """
     trials: list[Trial] = []
     scored = [
         [i for i, block in enumerate(shop.data.blocks) if block.label == f] for f in range(len(shop.ground.folds))
     ]
-    data = shop.data
     step: RefinementStep | None = nothing_yet(data)
     best, without_gain = None, 0
     while 2 * len(trials) + 2 <= max(model_orders) and without_gain < PATIENCE:
@@ -402,6 +405,7 @@ class RefinedModel:
         at_rest: (n_records, n_inputs) variances of what inputs showed where a force window made them zero, of the data.
         forces_erred: (n_samples, n_inputs) a record, by as much as far as what follows tells, in the units of the
             records; none where that tells nothing.
+        acting: (n_samples,) a record, True where a blow acts.
     """
 
     realisation: Realisation
@@ -415,6 +419,7 @@ class RefinedModel:
     record_scale: FloatArray
     at_rest: FloatArray
     forces_erred: tuple[FloatArray, ...] = ()
+    acting: tuple[BoolArray, ...] = ()
 
     @property
     def leaves_white_noise(self) -> bool:
@@ -425,6 +430,15 @@ class RefinedModel:
         """The records with the likeliest forces."""
         pairs = zip(records, self.forces_erred, strict=True) if self.forces_erred else ()
         return tuple(replace(one, inputs=one.inputs - own) for one, own in pairs) or tuple(records)
+
+    def likely_forces(self, variances: FloatArray) -> LikelyForces | None:
+        """What the forces erred by, with (n_records, n_inputs) variances of the data where their sensors rest."""
+        sizes = self.scaling.input_scale * self.record_scale[:, np.newaxis]
+        known = self.forces_erred or tuple(np.zeros_like(record.inputs) for record in self.data.records)
+        erred = [own / size for own, size in zip(known, sizes, strict=True)]
+        apart = [~rows[:, 0] for rows in self.data.measured]
+        own = np.where(self.at_rest > 0.0, variances, 0.0)
+        return likely_forces(self.step, self.data, erred, apart or beside_blows(self.acting), own)
 
     def told_at_rest(self, variances: FloatArray) -> "RefinedModel":
         """The model that knows (n_records, n_inputs) variances of its inputs' noise, in the units of the records."""
@@ -492,25 +506,29 @@ def refined_model(
     most = UNTIL_STILL if n_steps == MOST_STEPS else n_steps
     struck = bool(acting) and not measured and n_steps == MOST_STEPS
     of_forces = _noise_of_forces(data, scaling, acting if struck else (), at_rest)
-    turns = partial(by_turns, data=data, acting=acting, variances=of_forces, least_gain=GROWS_ON)
-    last = refine(first, data, n_steps=most, least_gain=least_gain)[-1] if start.order else first
+    beside = beside_blows(acting) if struck else []
+    following = set_aside(data, beside) if struck and by == "rows" else data  # no mode is of what a filter rings on
+    turns = partial(by_turns, data=following, aside=beside, variances=of_forces, least_gain=GROWS_ON)
+    last = refine(first, following, n_steps=most, least_gain=least_gain)[-1] if start.order else first
     last, told, _ = turns(last)
     for i in range(weak_modes):
         driven: Proposal = "observer" if i < weak_modes - answers else "answer"
         larger = with_weak_mode(last, told, by="blow" if by == "rows" else driven)
         last = last if larger is None else refine(larger, told, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
         last, told, _ = turns(last)
-    last = refine(last, told, n_steps=most, least_gain=least_gain)[-1] if weak_modes else last
+    told = replace(told, measured=data.measured, elsewhere=data.elsewhere)
+    if weak_modes or following is not data:
+        last = refine(step_at(last.parameters, told), told, n_steps=most, least_gain=least_gain)[-1]
     if n_steps == MOST_STEPS and records[0].input_hold == "band_limited":
         last, data, told = _held_or_not(last, data, told, least_gain)
     ratio, record_scale = whiteness_ratio(last, data), np.ones(len(records))
     forces_erred: tuple[FloatArray, ...] = ()
     if n_steps == MOST_STEPS and (start.n_outputs > 1 or len(records) > 1 or struck):
-        likeliest, forces_erred = forces_told(
-            last, data, told, acting=acting, variances=of_forces, least_gain=least_gain
-        )
+        likeliest = weighted(last, told, least_gain)
         if struck:
-            likeliest = struck_apart(likeliest, acting, least_gain)
+            likeliest, forces_erred = forces_told(
+                likeliest, data, acting=acting, variances=of_forces, least_gain=least_gain
+            )
         own_ratio = whiteness_ratio(likeliest.step, likeliest.data)
         if own_ratio <= WHITE or by == "rows":
             last, data, weights, record_scale = (
@@ -524,7 +542,7 @@ def refined_model(
     n_parts = len(data.blocks)
     if by == "rows" and not ratio <= WHITE:
         n_parts = PARTS_A_POLE * len(records)
-        data = replace(data, blocks=_blocks_of_answers(last, data))
+        data = replace(data, blocks=blocks_of_answers(last.layout, last.parameters, data.records, PARTS_A_POLE))
         last = step_at(last.parameters, data, weights=weights)
     return RefinedModel(
         realisation=realisation,
@@ -538,6 +556,7 @@ def refined_model(
         record_scale=record_scale,
         at_rest=np.zeros((len(records), start.n_inputs)),
         forces_erred=tuple(own * scaling.input_scale for own in forces_erred),
+        acting=tuple(acting),
     )
 
 
@@ -572,26 +591,3 @@ def _even_blocks(records: Sequence[Record]) -> list[list[list[tuple[int, int]]]]
         edges = np.linspace(0, record.n_samples, count + 1).round().astype(int).tolist()
         fold.append(list(zip(edges[1:-1:2], edges[2::2], strict=False)))
     return [fold]
-
-
-def _blocks_of_answers(step: RefinementStep, data: OutputError) -> tuple[Block, ...]:
-    """Blocks that hold equal parts of what the rows tell of the poles, `PARTS_A_POLE` a pole and record.
-
-    What a blow tells of a mode lies within the mode's memory, a short one for a mode that is soon over: even blocks
-    would hold it all. The squares of a state's sensitivity to its pole say where it lies; poles count alike.
-    """
-    n, regressors = step.layout.n_poles, step.layout.alone.n_regressors
-    size = step.layout.alone.n_sensitivities
-    told = []
-    for index, record in enumerate(data.records):
-        parts = signals_of(step.layout, step.parameters, index, record)
-        real, imaginary = slice(regressors, regressors + n), slice(regressors + size, regressors + size + n)
-        told.append(np.vstack([rows[:, real] ** 2 + rows[:, imaginary] ** 2 for _, rows in parts]))
-    total = np.maximum(np.sum([one.sum(axis=0) for one in told], axis=0), np.finfo(float).tiny)
-    blocks: list[Block] = []
-    for index, one in enumerate(told):
-        share = np.cumsum((one / total).sum(axis=1))
-        number = np.floor(PARTS_A_POLE * len(told) * share).astype(int)
-        edges = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(one)]
-        blocks += [Block(record=index, first=first, last=last, label=-1) for first, last in pairwise(edges)]
-    return tuple(blocks)

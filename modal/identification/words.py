@@ -372,6 +372,22 @@ def noise_words(modes: ModalModel, inflation: FloatArray) -> tuple[str, ...]:
     return tuple(words)
 
 
+def blows_apart(times: float) -> tuple[str, ...]:
+    """That blows are answered each in its own way, where they are.
+
+    Args:
+        times: how many times as far as noise of the force's sensor makes them their answers differ; 0 for no further.
+    """
+    if not times:
+        return ()
+    text = (
+        f"Each blow is answered in its own way: what follows differs {times:.2g} times as far as noise of the force's "
+        "sensor makes it, and as far by chance in less than one record of 10 000. The structure is not linear, changes "
+        "in time, or was not always struck at the same point in the same direction; modes and damping are an average."
+    )
+    return (text,)
+
+
 def records_apart(alone: float, together: float) -> tuple[str, ...]:
     """That records do not belong to one system with the inputs where they are said to act; empty where they may.
 

@@ -244,7 +244,7 @@ def _newton(about: About, states: FloatArray, width: float, iterations: int, ris
                 trial_miss = _miss(trial)
             if not np.isfinite(trial_miss):
                 return None
-            done = share == 1.0 and largest <= TOLERANCE * size
+            done = share == 1.0 and (largest <= TOLERANCE * size or not current.acting)  # of what is linear the first
             current, miss = trial, trial_miss
             if done:
                 return current

@@ -120,9 +120,12 @@ def outputs_of(run, rows, inputs):
     return run.states @ C.T + inputs @ D.T + run.forces @ G.T
 
 
-STEPS_A_RADIAN = 18.0
-"""Steps a sample per radian that the fastest motion turns in a sample: errors of 1e-4 of the motion and less, measured
-against solve_ivp."""
+STEPS_A_RADIAN, FEWEST_STEPS = 8.0, 2
+"""Steps a sample per radian that the fastest motion turns in a sample: errors of 1e-5 of the motion, measured against
+48 steps; reversals of friction are located whatever the step."""
+AT_CORNERS = ("bilinear_stiffness", "gap_spring", "bouc_wen_hysteresis", "slack_in_hysteresis")
+STEPS_AT_CORNERS, FEWEST_AT_CORNERS = 18.0, 6
+"""So many where the law has a corner within its stroke: of 5e-4 and less."""
 
 INPUT_EFFECTS = ("input_delay", "input_saturation", "input_gain")
 SENSOR_EFFECTS = ("sensor_bias", "sensor_gain")
@@ -244,11 +247,13 @@ def _as_sensed(effects, outputs, dt):
 
 
 def _steps_needed(truth, plant, dt):
-    """Steps a sample; contact adds its stiffness, a law without corners needs no more than the exact linear part."""
+    """Steps a sample; contact adds its stiffness, no law at all needs no more than the exact linear part."""
     if not any(e.effect not in (*INPUT_EFFECTS, *SENSOR_EFFECTS, "missing_mode") for e in truth.effects):
         return 1
     fastest = np.abs(np.linalg.eigvals(plant.A)).max()
     if isinstance(truth.plant, TrueChain):
         added = max((e.parameters.get("k_out", 0.0) for e in truth.effects), default=0.0)
         fastest = np.sqrt(fastest**2 + 2 * added / truth.plant.masses.min())
-    return int(np.clip(np.ceil(STEPS_A_RADIAN * fastest * dt), 6, 40))
+    corners = any(e.effect in AT_CORNERS for e in truth.effects)
+    each, fewest = (STEPS_AT_CORNERS, FEWEST_AT_CORNERS) if corners else (STEPS_A_RADIAN, FEWEST_STEPS)
+    return int(np.clip(np.ceil(each * fastest * dt), fewest, 40))
