@@ -38,12 +38,9 @@ from modal.estimation.modal_states import CHUNK, IndexArray, signals_of
 from modal.estimation.output_error import (
     OutputError,
     RefinementStep,
-    inverse_root,
+    Span,
     refine,
-    scores_of,
-    slopes_of,
     step_at,
-    step_equations,
 )
 from modal.estimation.weights import UNTIL_STILL, Weighted, beside_blows, set_aside, struck_apart, weighted
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
@@ -218,7 +215,8 @@ def likely_forces(
         quiet.append(~(rows | moves[-1].any(axis=1)))
     if max(int(own.sum()) for own in moves) > MOST:
         return None
-    model = _Beside.blows(step, told, quiet)
+    beside = _Beside.blows(step, told, quiet)
+    model = beside.span
     places = [np.nonzero(own) for own in moves]
     deviations = [np.sqrt(variance[which]) for (_, which), variance in zip(places, variances, strict=True)]
     parts = zip(places, deviations, quiet, strict=True)
@@ -238,10 +236,10 @@ def likely_forces(
     seen = g > max(TOLD, ROUNDING * power.max(initial=0.0))
     if not seen.any():
         return None
-    squares = model.squares - float(model.pull @ model.pull) + float(z @ (2.0 * b + H @ z))
+    squares = beside.squares - float(model.pull @ model.pull) + float(z @ (2.0 * b + H @ z))
     g, X = g[seen], X[:, seen]
     products = X.T @ b + g * (X.T @ z)
-    noise = _noise(g, products, squares, model.n_values - explained.shape[1])
+    noise = _noise(g, products, squares, beside.n_values - explained.shape[1])
     return LikelyForces(
         row=tuple(row for row, _ in places),
         which=tuple(which for _, which in places),
@@ -275,27 +273,19 @@ def _noise(power: FloatArray, products: FloatArray, squares: float, freedom: int
     return float(np.exp(scipy.optimize.minimize_scalar(surprise, bounds=bounds, method="bounded").x))
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Beside:
-    """A model by the rows in which no blow acts, weighed by their noise, and what its parameters explain.
+    """A model by the rows in which no blow acts, weighed by their noise.
 
     Attributes:
-        step: the model.
-        weights: (n_outputs,) W of the squared errors.
+        span: what it explains.
         n_values: that are asked.
         squares: weighted sum of those of the errors.
-        root: (n_free, n_kept) of the inverse of the curvature of poles, participations and initial states.
-        slopes: of the linear part by these.
-        pull: (n_kept,) products of what they explain with the errors.
     """
 
-    step: RefinementStep
-    weights: FloatArray
+    span: Span
     n_values: int
     squares: float
-    root: FloatArray
-    slopes: FloatArray
-    pull: FloatArray
 
     @classmethod
     def blows(cls, step: RefinementStep, told: OutputError, quiet: Sequence[BoolArray]) -> "_Beside":
@@ -305,33 +295,7 @@ class _Beside:
         errors = np.vstack(errors_of(own, asked))
         counts, squares = np.isfinite(errors).sum(axis=0), np.nansum(np.square(errors), axis=0)
         weights = counts / np.maximum(squares, TINY)
-        normal = step_equations(own, weights=np.diag(weights))
-        root = inverse_root(normal.matrix)
-        return cls(
-            step=own,
-            weights=weights,
-            n_values=int(counts.sum()),
-            squares=float((weights * squares).sum()),
-            root=root,
-            slopes=slopes_of(own),
-            pull=root.T @ normal.gradient,
-        )
-
-    @property
-    def n_linear(self) -> int:
-        """Dimensions of the linear part."""
-        return sum(len(one.inverse_factor) * len(one.outputs) for one in self.step.sums)
-
-    def explains(self, products: FloatArray) -> FloatArray:
-        """(n, n_linear + n_kept) of (n, size, n_outputs) products of signals with each output of n answers."""
-        phi, weighted_products = self.step.layout.regressors, products * self.weights
-        linear = [
-            np.einsum("fr,nro->nfo", one.inverse_factor, products[:, phi][:, :, list(one.outputs)])
-            * np.sqrt(self.weights[list(one.outputs)])
-            for one in self.step.sums
-        ]
-        others = scores_of(self.step, self.slopes, weighted_products) @ self.root
-        return np.hstack([*(one.reshape(len(one), one.shape[1] * one.shape[2]) for one in linear), others])
+        return cls(Span.of(own, weights), int(counts.sum()), float((weights * squares).sum()))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -352,7 +316,7 @@ class _Answers:
 
 
 def _told(
-    left: "_LeftBehind", model: _Beside, told: OutputError, number: int, grams: Mapping[int, FloatArray]
+    left: "_LeftBehind", model: Span, told: OutputError, number: int, grams: Mapping[int, FloatArray]
 ) -> _Answers:
     layout = model.step.layout
     alone, places = layout.alone, layout.places(number)
@@ -369,7 +333,7 @@ def _told(
     return _Answers(
         directions=directions,
         power=power,
-        explained=model.explains(whole),
+        explained=model.coordinates(whole),
         product=np.tensordot(products, error * model.weights, axes=2),
     )
 

@@ -384,6 +384,48 @@ def scores_of(step: RefinementStep, slopes: FloatArray, products: FloatArray) ->
     return np.asarray((direct - left).sum(axis=2).T)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Span:
+    """What all parameters of a model explain, in orthonormal coordinates: the linear part first, then the others.
+
+    Attributes:
+        step: the model.
+        weights: (n_outputs,) W of the squared errors.
+        root: (n_free, n_kept) of the inverse of the curvature of poles, participations and initial states.
+        slopes: of the linear part by these.
+        pull: (n_kept,) coordinates of the errors; the linear part's are zero.
+    """
+
+    step: RefinementStep
+    weights: FloatArray
+    root: FloatArray
+    slopes: FloatArray
+    pull: FloatArray
+
+    @classmethod
+    def of(cls, step: RefinementStep, weights: FloatArray) -> "Span":
+        """At a model, of errors with these (n_outputs,) weights."""
+        normal = step_equations(step, weights=np.diag(weights))
+        root = inverse_root(normal.matrix)
+        return cls(step, weights, root, slopes_of(step), root.T @ normal.gradient)
+
+    @property
+    def n_linear(self) -> int:
+        """Coordinates of the linear part."""
+        return sum(len(one.inverse_factor) * len(one.outputs) for one in self.step.sums)
+
+    def coordinates(self, products: FloatArray) -> FloatArray:
+        """(n, n_linear + n_kept) of n motions by their (n, size, n_outputs) products with all signals."""
+        phi = self.step.layout.regressors
+        linear = [
+            np.einsum("fr,nro->nfo", one.inverse_factor, products[:, phi][:, :, list(one.outputs)])
+            * np.sqrt(self.weights[list(one.outputs)])
+            for one in self.step.sums
+        ]
+        others = scores_of(self.step, self.slopes, products * self.weights) @ self.root
+        return np.hstack([*(one.reshape(len(one), one.shape[1] * one.shape[2]) for one in linear), others])
+
+
 def inverse_root(matrix: FloatArray) -> FloatArray:
     """(n, n_kept) R with R R' the pseudo-inverse of a curvature, after scaling to a unit diagonal.
 

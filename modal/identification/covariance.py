@@ -29,8 +29,10 @@ from modal.estimation.modal_parameters import errors_of
 from modal.estimation.modal_states import CHUNK, signals_of
 from modal.estimation.output_error import (
     LinearPart,
+    OutputError,
     PolesAndParticipations,
     RefinementStep,
+    Span,
     inverse_root,
     scores_of,
     sizes_of,
@@ -214,7 +216,14 @@ def _of_records(model: RefinedModel, variances: FloatArray, degrees_of_freedom: 
 
 def _of_blocks(model: RefinedModel) -> _Loadings:
     """Each block of rows by what all signals have in common with its errors."""
-    step, data, layout, n_blocks = model.step, model.data, model.step.layout, len(model.data.blocks)
+    n_blocks = len(model.data.blocks)
+    products = np.sqrt(n_blocks / max(1, n_blocks - 1)) * _block_products(model.step, model.data)
+    return _pulled(model, products, max(1.0, model.n_parts - 1.0))
+
+
+def _block_products(step: RefinementStep, data: OutputError) -> FloatArray:
+    """(n_blocks, size, n_outputs) of all signals with the errors of each block of rows."""
+    layout, n_blocks = step.layout, len(data.blocks)
     products, phi = np.zeros((n_blocks, layout.size, layout.n_outputs)), layout.alone.regressors
     for number, (record, share) in enumerate(zip(data.records, data.shares, strict=True)):
         places = layout.places(number)
@@ -225,7 +234,32 @@ def _of_blocks(model: RefinedModel) -> _Loadings:
             for i, block in own:
                 there = slice(max(0, block.first - first), max(0, block.last - first))
                 products[i, places] += signals[there].T @ error[there]
-    return _pulled(model, np.sqrt(n_blocks / max(1, n_blocks - 1)) * products, max(1.0, model.n_parts - 1.0))
+    return products
+
+
+def chance_of_leaving(step: RefinementStep, data: OutputError, weights: FloatArray, more: float) -> float:
+    """How often noise of the colour that is left moves the best model so far that the true one leaves so much more.
+
+    Output error is consistent whatever the colour, so a better estimate of the same system leaves more than the best
+    model, by (t - t0)' A (t - t0) for its curvature A, and no more than the true one: sum of s' A^-1 s of the scores s
+    of nearly independent blocks in the mean (Hausman's test, in what is left; Satterthwaite's degrees of freedom).
+
+    Args:
+        step: the model that leaves least.
+        data: with blocks that are long against the memory of the noise.
+        weights: (n_outputs,) of the squared errors.
+        more: weighted sum of squares that the other model leaves beyond that of this one.
+
+    References:
+        Hausman, Econometrica 46(6), 1978, 1251-1271, doi 10.2307/1913827; Satterthwaite, Biometrics Bulletin 2(6),
+        1946, 110-114, doi 10.2307/3002019.
+    """
+    parts, n = Span.of(step, weights).coordinates(_block_products(step, data)), len(data.blocks)
+    gram = parts @ parts.T * n / max(1, n - 1)
+    mean, square = float(np.trace(gram)), float(np.square(gram).sum())
+    if not square > 0.0:
+        return 1.0
+    return float(scipy.special.fdtrc(mean**2 / square, max(1, n - 1), max(0.0, more) / mean))
 
 
 def _of_feedback(model: RefinedModel) -> _Loadings:

@@ -21,6 +21,7 @@ References:
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 import scipy
@@ -31,7 +32,7 @@ from modal.estimation.cross_validation import scaled_model, scaled_record
 from modal.estimation.fits import model_runs
 from modal.estimation.free_run import begins_at_rest, can_be_foretold, n_at_rest
 from modal.estimation.modal_parameters import errors_of, in_data_states, starting_parameters
-from modal.estimation.modal_states import blocks_of
+from modal.estimation.modal_states import Block, blocks_of
 from modal.estimation.output_error import OutputError, PolesAndParticipations, RefinementStep, step_at
 from modal.estimation.prediction_error import (
     ROWS_A_NUMBER,
@@ -47,7 +48,7 @@ from modal.estimation.prediction_error import (
     promised_criterion,
     share_of,
 )
-from modal.identification.covariance import NO_INTERVAL, NOT_UNDERSTOOD
+from modal.identification.covariance import NO_INTERVAL, NOT_UNDERSTOOD, chance_of_leaving
 from modal.identification.order_search import MODEL_ORDERS
 from modal.identification.result import Identification
 from modal.modes.extraction import extract_modes
@@ -56,8 +57,9 @@ from modal.modes.mode import Choice, Mode
 from modal.preparation.band import FOLLOWS, chance_at_modes
 from modal.verdict.constancy import drifting_modes
 from modal.verdict.judgement import DOUBTED, doubted
+from modal.verdict.linearity import NOT_LINEAR
 from modal.wording.text import hertz, listed
-from okid.arrays import ROUNDED, BoolArray, FloatArray
+from okid.arrays import ROUNDED, TINY, BoolArray, FloatArray
 from okid.errors import NumericalError
 from okid.record import Record
 from okid.residuals import NOT_WHITE, WHITENESS_LAGS, Whiteness, centred, input_correlation, whiteness
@@ -67,6 +69,8 @@ ROUND_OFF = 1e-12
 """Add this to the correlations of answers to inputs: two that are one are told apart no further."""
 WHITE_AT = 1e-3
 """Call errors white where the portmanteau test of white ones gives more as often: one record in a thousand is lost."""
+LONG_BLOCKS = 10
+"""Tell how far noise moves a model from so many blocks of a record: they are long against what structures remember."""
 FOUND = "the past of the outputs tells more about the inputs than their own does"
 WHY_TOLD = "something feeds them back, or the inputs move between their samples as only the outputs show"
 MOVED = "the inputs follow the outputs as in a loop, which may move it by several of its deviations"
@@ -152,8 +156,13 @@ def noise_model(
         fit, ratio = _apart(fit, ratio, start.order, data, start.dt)
     whole = innovation_form(fit.step, start.dt)
     system = _system_part(whole, start.order, data) if start.n_inputs else whole
+    why_not = ""
     if np.abs(np.linalg.eigvals(system.A)).max(initial=0.0) >= 1.0 or _follows_inputs(fit.step, data):
-        return None, "the likeliest predictor is not stable, or its errors still follow the inputs"
+        why_not = "is not stable, or its errors still follow the inputs"
+    elif reference is not None and not feedback and _strays(system, reference, scaled, rows):
+        why_not = "takes for noise what is of the system: it leaves more in a free run than noise makes it"
+    if why_not:
+        return None, f"the likeliest predictor {why_not}"
     model = NoiseModel(
         fit=fit,
         whole=whole,
@@ -289,6 +298,30 @@ def _output_error(
     if start is None:
         return None
     return likeliest(start, data, PolesAndParticipations(), progress=share_of(progress, 0.0, 1 / 9))
+
+
+def _strays(system: Realisation, reference: LikeliestFit, scaled: Sequence[Record], rows: Sequence[BoolArray]) -> bool:
+    """Whether the system of a predictor leaves more in a free run than noise makes of the one that leaves least.
+
+    Then what it takes for noise is none: not linear, or changing, which a free run follows no less for that.
+    """
+    shares = np.linspace(0.0, 1.0, LONG_BLOCKS + 1)
+    blocks = [
+        Block(record=i, first=first, last=last, label=-1)
+        for i, record in enumerate(scaled)
+        for first, last in pairwise((shares * record.n_samples).round().astype(int).tolist())
+    ]
+    data = OutputError(records=tuple(scaled), rows=tuple(rows), blocks=tuple(blocks))
+    try:
+        runs = model_runs(replace(system, K=None), scaled)
+    except NumericalError:
+        return True
+    least = np.vstack([error[there] for error, there in zip(errors_of(reference.step, data), rows, strict=True)])
+    left = np.vstack([error[there] for error, there in zip(runs.left, rows, strict=True)])
+    squares = np.nansum(np.square(least), axis=0)
+    weights = len(least) / np.maximum(squares, TINY)
+    more = float(weights @ (np.nansum(np.square(left), axis=0) - squares))
+    return chance_of_leaving(reference.step, data, weights, more) < NOT_LINEAR
 
 
 def _candidates(
