@@ -56,8 +56,12 @@ STANDS_STILL = 1e-3
 """or until a turn moves the error by no more than this share of it."""
 TOLD = 1e-6
 """A combination of the force's errors is told by what follows from so much of the noise's power on."""
+UNEXPLAINED = 1e-4
+"""Ask nothing of answers of which the model explains all but such a share of the power: rows aside tell that."""
 ROUNDING = 1e-10
-"""Relative power of what is left of an answer beside the model that is rounding."""
+"""Take no smaller share of the squares for noise of the outputs: it is rounding."""
+MOST_TOGETHER = 3000
+"""Errors of all records' forces up to which they are told together."""
 
 
 def forces_told(
@@ -182,14 +186,15 @@ class LikelyForces:
         return found
 
     def drawn(self, rng: np.random.Generator, n_draws: int) -> list[FloatArray]:
-        """(n, n_draws) a record, what else they may have erred by: where nothing follows, as the sensor errs."""
-        told = (self.vectors / np.sqrt(1.0 + self.power)) @ rng.standard_normal((self.power.size, n_draws))
-        parts = np.split(told, np.cumsum([own.shape[1] for own in self.directions])[:-1])
-        found = []
-        for size, directions, one in zip(self.deviation, self.directions, parts, strict=True):
-            free = rng.standard_normal((size.size, n_draws))
-            found.append(size[:, np.newaxis] * (free + directions @ (one - directions.T @ free)))
-        return found
+        """(n, n_draws) a record, what else they may have erred by: as the sensor errs where nothing follows."""
+        free = [rng.standard_normal((size.size, n_draws)) for size in self.deviation]
+        alone = self.vectors.T @ np.vstack([own.T @ one for own, one in zip(self.directions, free, strict=True)])
+        told = rng.standard_normal(alone.shape) / np.sqrt(1.0 + self.power)[:, np.newaxis]
+        parts = np.split(self.vectors @ (told - alone), np.cumsum([own.shape[1] for own in self.directions])[:-1])
+        return [
+            size[:, np.newaxis] * (one + own @ part)
+            for size, one, own, part in zip(self.deviation, free, self.directions, parts, strict=True)
+        ]
 
 
 def likely_forces(
@@ -198,6 +203,8 @@ def likely_forces(
     erred: Sequence[FloatArray],
     aside: Sequence[BoolArray],
     variances: FloatArray,
+    *,
+    late: float = 0.0,
 ) -> LikelyForces | None:
     """The likeliest errors of the forces beside all that the model can explain; None where there are none or too many.
 
@@ -207,20 +214,23 @@ def likely_forces(
         erred: (n_samples, n_inputs) a record, by that.
         aside: (n_samples,) a record, True where a blow acts, or errs by itself, and is not asked.
         variances: (n_records, n_inputs) of the noise of the forces; zero where there is none.
+        late: share of the rows after a blow that have passed before the same errors are asked as if it had just ended:
+            of motion that no blow made they are as large there, and of what a blow made they have faded.
     """
     moves, quiet = [], []
     for record, wrong, rows, variance in zip(told.records, erred, aside, variances, strict=True):
         forces = record.inputs + wrong  # a force window leaves no noise elsewhere
         moves.append((forces != np.median(forces, axis=0)) & (variance > 0.0))
         quiet.append(~(rows | moves[-1].any(axis=1)))
-    if max(int(own.sum()) for own in moves) > MOST:
+    counts = [int(own.sum()) for own in moves]
+    if max(counts) > MOST or sum(counts) > MOST_TOGETHER:
         return None
-    beside = _Beside.blows(step, told, quiet)
-    model = beside.span
     places = [np.nonzero(own) for own in moves]
     deviations = [np.sqrt(variance[which]) for (_, which), variance in zip(places, variances, strict=True)]
     parts = zip(places, deviations, quiet, strict=True)
-    left = [_LeftBehind.by(model.step, row, which, size, rows) for (row, which), size, rows in parts]
+    left = [_LeftBehind.by(step, row, which, size, rows, late=late) for (row, which), size, rows in parts]
+    beside = _Beside.blows(step, told, [own.of_those(rows) for own, rows in zip(left, quiet, strict=True)])
+    model = beside.span
     lengths = np.concatenate([own.asked for own in left])
     grams = _free_grams(step.parameters.poles, model.step.linear.shapes, model.weights, lengths)
     answers = [_told(own, model, told, number, grams) for number, own in enumerate(left)]
@@ -230,10 +240,14 @@ def likely_forces(
     ]
     z, power = np.concatenate(before), np.concatenate([one.power for one in answers])
     explained = np.vstack([one.explained for one in answers])
-    H = np.diag(power) - explained @ explained.T
     b = np.concatenate([one.product for one in answers]) - explained[:, model.n_linear :] @ model.pull
+    size = np.sqrt(power)[:, np.newaxis]
+    share, axes = np.linalg.eigh(np.eye(power.size) - (explained / size) @ (explained / size).T)
+    free = share > UNEXPLAINED  # what the model explains to rounding tells nothing
+    H = (size * axes[:, free] * share[free]) @ (size * axes[:, free]).T
+    b = size[:, 0] * (axes[:, free] @ (axes[:, free].T @ (b / size[:, 0])))
     g, X = np.linalg.eigh(H)
-    seen = g > max(TOLD, ROUNDING * power.max(initial=0.0))
+    seen = g > TOLD
     if not seen.any():
         return None
     squares = beside.squares - float(model.pull @ model.pull) + float(z @ (2.0 * b + H @ z))
@@ -345,8 +359,9 @@ class _LeftBehind:
     Attributes:
         states: (n, n_poles) by an error of one deviation, at the end of its blow.
         blow: (n,) to which each error belongs.
-        ends: (n_blows,) row after each of them.
+        ends: (n_blows,) row from which each is asked.
         asked: (n_blows,) rows from there to the next one, or to the end of the record.
+        passed: (n_blows,) rows between a blow and where it is asked.
         poles: (n_poles,).
     """
 
@@ -354,20 +369,36 @@ class _LeftBehind:
     blow: IndexArray
     ends: IndexArray
     asked: IndexArray
+    passed: IndexArray
     poles: ComplexArray
 
     @classmethod
     def by(
-        cls, step: RefinementStep, row: IndexArray, which: IndexArray, deviation: FloatArray, quiet: BoolArray
+        cls,
+        step: RefinementStep,
+        row: IndexArray,
+        which: IndexArray,
+        deviation: FloatArray,
+        quiet: BoolArray,
+        *,
+        late: float,
     ) -> "_LeftBehind":
-        """Errors of these deviations in rows of these inputs, none of which is quiet."""
+        """Errors of these deviations in rows of these inputs, none of which is quiet, asked so late."""
         runs = np.array(runs_of(~quiet), dtype=np.intp).reshape(-1, 2)
         ends, poles = runs[:, 1], step.parameters.poles
         blow = np.searchsorted(ends, row, side="right")
         past = poles ** (ends[blow] - 1 - row)[:, np.newaxis]
         states = past * step.parameters.inputs.T[which] * deviation[:, np.newaxis]
         asked = np.append(runs[1:, 0], len(quiet)) - ends if len(runs) else ends
-        return cls(states=states, blow=blow, ends=ends, asked=asked, poles=poles)
+        passed = (late * asked).astype(np.intp)
+        return cls(states=states, blow=blow, ends=ends + passed, asked=asked - passed, passed=passed, poles=poles)
+
+    def of_those(self, quiet: BoolArray) -> BoolArray:
+        """(n_samples,) those of the quiet rows that are asked: none that has passed after a blow."""
+        asked = quiet.copy()
+        for end, n_passed in zip(self.ends, self.passed, strict=True):
+            asked[end - n_passed : end] = False
+        return asked
 
     @property
     def until(self) -> IndexArray:

@@ -15,7 +15,7 @@ References:
 from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import count, pairwise
 
 import numpy as np
 
@@ -31,7 +31,8 @@ UNTIL_STILL = 30
 WEIGHTINGS = 4
 """Rounds in which outputs' weights and the model settle."""
 BESIDE = 2
-"""Ask so many rows more on either side of a blow at a time, or a part of it that takes `WEIGHTINGS` rounds."""
+"""Ask so many rows more on either side of a blow, or a part of it that takes `WEIGHTINGS` rounds, then twice
+that, and so on."""
 ASIDE = 1e-6
 """Squared weight of rows that are set aside: enough to tell what nothing else does, and no more."""
 MOVES = 0.5
@@ -120,16 +121,18 @@ def struck_apart(plain: Weighted, acting: Sequence[BoolArray], least_gain: float
     now, loud = plain, list(acting)
     if not _louder(plain.errors, loud, than=[~rows for rows in loud]):
         return plain
-    longest, farthest = _longest(acting), _while_it_moves(plain, acting)
-    while True:
+    n_beside, farthest = max(BESIDE, _longest(acting) // WEIGHTINGS), _while_it_moves(plain, acting)
+    for turn in count(1):
         now = now.apart(loud, least_gain)
-        behind, ahead, wider = _beside(loud, max(BESIDE, longest // WEIGHTINGS))
+        behind, ahead, wider = _beside(loud, n_beside)
         quiet, errors = [~rows for rows in wider], now.errors
         if not (_louder(errors, behind, than=quiet) or _louder(errors, ahead, than=quiet)):  # one may hide the other
             return now.apart(loud, least_gain)  # by what a model leaves that these rows have not drawn
         before, loud = loud, [own & most for own, most in zip(wider, farthest, strict=True)]
         if all((own == one).all() for own, one in zip(loud, before, strict=True)):
-            return plain
+            break
+        n_beside *= 1 if turn % WEIGHTINGS else 2
+    return plain
 
 
 def beside_blows(acting: Sequence[BoolArray]) -> list[BoolArray]:

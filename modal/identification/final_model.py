@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+import scipy
 
 from era.balanced import HankelDecomposition, decompose, realise_from
 from era.gain import GainEstimate, estimate_gain
@@ -54,6 +55,8 @@ Feedback = Literal["none", "harmless", "biasing"]
 
 BROKEN_PROMISE = 0.1
 """Fit to all rows below that to held-out rows from which on a model is not taken."""
+LATE = 0.75
+"""Compare what follows a blow with what does when so much of the time to the next one has passed."""
 MOST_MADE = 8
 """Models made of all rows before the first one is taken for want of a better."""
 LARGEST_ORDER = 64
@@ -361,6 +364,20 @@ def with_noise(
     return replace(made, noise=noise, why=why, gain=gain, realisation=likeliest)
 
 
+def _unlike_blows(refined: RefinedModel) -> float:
+    """How many times as far as by noise of the force's sensor the answers to blows differ; 0 where no further.
+
+    Wind and drifts move what follows a blow as well, but late as far as soon after it.
+    """
+    soon = refined.likely_forces(refined.at_rest)
+    late = refined.likely_forces(refined.at_rest, late=LATE)
+    if soon is None or late is None or not soon.chance < NOT_LINEAR:
+        return 0.0
+    ratio = (soon.times / max(1.0, late.times)) ** 2
+    alike = scipy.special.fdtrc(soon.power.size, late.power.size, ratio)
+    return soon.times if alike < NOT_LINEAR else 0.0
+
+
 def with_forces(preparation: Preparation, final: FinalModel) -> tuple[Preparation, FinalModel]:
     """With the likeliest forces, where what follows a blow tells them; and told how their sensors err."""
     if final.refined is None:
@@ -368,9 +385,8 @@ def with_forces(preparation: Preparation, final: FinalModel) -> tuple[Preparatio
     refined = final.refined.told_at_rest(preparation.at_rest)
     final = replace(final, refined=refined)
     if not refined.forces_erred:
-        likely = refined.likely_forces(refined.at_rest) if refined.acting and preparation.white_at_rest.any() else None
-        refused = likely is not None and likely.chance < NOT_LINEAR
-        return preparation, replace(final, unlike=likely.times) if likely is not None and refused else final
+        asked = refined.acting and preparation.white_at_rest.any()
+        return preparation, replace(final, unlike=_unlike_blows(refined)) if asked else final
     errors, forces = (np.vstack(own) for own in (refined.forces_erred, [r.inputs for r in preparation.records]))
     size = np.sqrt(np.square(errors).sum(axis=0) / np.maximum(1, (errors != 0.0).sum(axis=0)))
     told = Choice(

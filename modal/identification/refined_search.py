@@ -431,14 +431,19 @@ class RefinedModel:
         pairs = zip(records, self.forces_erred, strict=True) if self.forces_erred else ()
         return tuple(replace(one, inputs=one.inputs - own) for one, own in pairs) or tuple(records)
 
-    def likely_forces(self, variances: FloatArray) -> LikelyForces | None:
-        """What the forces erred by, with (n_records, n_inputs) variances of the data where their sensors rest."""
+    def likely_forces(self, variances: FloatArray, *, late: float = 0.0) -> LikelyForces | None:
+        """What the forces erred by, with (n_records, n_inputs) variances of the data where their sensors rest.
+
+        Args:
+            variances: as large as they err.
+            late: share of what follows a blow that has passed before it is asked as if the blow had just ended.
+        """
         sizes = self.scaling.input_scale * self.record_scale[:, np.newaxis]
         known = self.forces_erred or tuple(np.zeros_like(record.inputs) for record in self.data.records)
         erred = [own / size for own, size in zip(known, sizes, strict=True)]
         apart = [~rows[:, 0] for rows in self.data.measured]
         own = np.where(self.at_rest > 0.0, variances, 0.0)
-        return likely_forces(self.step, self.data, erred, apart or beside_blows(self.acting), own)
+        return likely_forces(self.step, self.data, erred, apart or beside_blows(self.acting), own, late=late)
 
     def told_at_rest(self, variances: FloatArray) -> "RefinedModel":
         """The model that knows (n_records, n_inputs) variances of its inputs' noise, in the units of the records."""

@@ -382,7 +382,7 @@ def blows_apart(times: float) -> tuple[str, ...]:
         return ()
     text = (
         f"Each blow is answered in its own way: what follows differs {times:.2g} times as far as noise of the force's "
-        "sensor makes it, and as far by chance in less than one record of 10 000. The structure is not linear, changes "
+        "sensor makes it, and as far by chance in less than one record of 10 000. Something is not linear, changes "
         "in time, or was not always struck at the same point in the same direction; modes and damping are an average."
     )
     return (text,)

@@ -63,7 +63,7 @@ def dense(data, numbers, aside, variances):
     root = np.sqrt(np.where(aside, SET_ASIDE, 1.0))[:, np.newaxis]
     poles = np.exp(numbers[:2] + 1j * numbers[2:4])
     states = states_of(poles, numbers[4:8].reshape(2, 2) + 1j * numbers[8:12].reshape(2, 2), force)
-    phi = np.hstack([states.real, states.imag, force, np.ones((N_SAMPLES, 1))])
+    phi = np.hstack([states.real, states.imag, force, np.ones((len(force), 1))])
     theta = np.linalg.lstsq(root * phi, root * outputs, rcond=None)[0]
     c, d = theta[:2] - 1j * theta[2:4], theta[4:6]
     here = np.concatenate([numbers[:12], c.T.real.ravel(), c.T.imag.ravel(), d.T.ravel(), theta[6]])
@@ -115,7 +115,7 @@ def test_the_likeliest_forces_are_those_of_gauss_and_markov(struck):
     (drawn,) = likely.drawn(np.random.default_rng(0), 40_000)
     np.testing.assert_allclose(np.cov(drawn), covariance, atol=0.03 * np.abs(covariance).max())
     values, vectors = np.linalg.eigh(H)
-    seen = values > 1e-6
+    seen = values > 1e-2  # the others are what the weight of rows aside leaves of what the model explains
     statistic = ((vectors[:, seen].T @ b) ** 2 / (values[seen] * (1.0 + values[seen]))).sum()
     assert likely.chance == pytest.approx(scipy.stats.chi2.sf(statistic, seen.sum()), rel=0.02)
     assert 1e-3 < likely.chance < 0.999
@@ -141,3 +141,28 @@ def test_errors_larger_than_the_sensors_are_told_from_its_own(struck):
     assert likely_forces(step, data, none, [aside], variances[np.newaxis] / 100.0).chance < 1e-6
     assert likely_forces(step, data, none, [aside], variances[np.newaxis] / 100.0).times > 2.0
     assert likely_forces(step, data, none, [aside], np.zeros((1, 2))) is None
+
+
+def test_what_the_model_explains_of_an_error_is_known_no_better_than_its_sensor(struck):
+    """Three blows: their common size is the participation's, and draws have the sensor's own scatter there."""
+    data, step, numbers, _, variances = struck
+    first = data.records[0].samples(0, 184)
+    aside = np.zeros(184, dtype=bool)
+    for begin, end in BLOWS[:3]:
+        aside[begin - 2 : end + 4] = True
+    short = OutputError(records=(first,), rows=(np.ones(184, dtype=bool),), blocks=blocks_of([first], [[[]]]))
+    likely = likely_forces(
+        step_at(step.parameters, short), short, [np.zeros((184, 2))], [aside], variances[np.newaxis] / 40.0
+    )
+    (drawn,) = likely.drawn(np.random.default_rng(0), 20_000)
+    _, _, _, covariance, *_ = dense(short, numbers, aside, variances / 40.0)
+    np.testing.assert_allclose(np.cov(drawn), covariance, atol=0.05 * np.abs(covariance).max())
+
+
+def test_errors_asked_late_are_those_of_what_no_blow_made(struck):
+    """Noise that rings as the structure does is as large late as soon; what blows made has faded."""
+    data, step, _, aside, variances = struck
+    none = [np.zeros((N_SAMPLES, 2))]
+    few = variances[np.newaxis] / 100.0
+    soon, late = (likely_forces(step, data, none, [aside], few, late=share).times for share in (0.0, 0.75))
+    assert soon > 2.0 * late

@@ -23,14 +23,14 @@ def identified(truth, **options):
     return modal.identify([Record(u, y, truth.dt) for u, y in truth.records], **options)
 
 
-def assert_told_right(result, truth):
+def assert_told_right(result, truth, *, untrue=UNTRUE):
     for frequency, excitable in zip(truth.frequencies, truth.excitable, strict=True):
         mode = min(result.modes.system, key=lambda m: abs(m.frequency - frequency))
         assert not excitable or abs(mode.frequency - frequency) < 5 * mode.frequency_std < 0.05 * frequency
     for mode in result.modes.system:
         assert (np.abs(truth.frequencies - mode.frequency) < 0.05 * mode.frequency).any()
     said = " ".join((*result.warnings, *(m.reason for m in result.modes), *(c.value for c in result.choices)))
-    assert not [words for words in UNTRUE if words in said]
+    assert not [words for words in untrue if words in said]
 
 
 @pytest.mark.parametrize(("kind", "seed", "cell"), [("transient", 202, 0.005), ("decay", 206, 0.0)])
@@ -184,7 +184,7 @@ def test_products_of_modes_are_no_modes():
     twice = [mode for mode in result.modes if abs(mode.pole - 2.0 * truth.poles[0]) < 0.02 * abs(truth.poles[0])]
     assert twice
     assert all(mode.verdict == "doubtful" and "what is not quite linear makes such" in mode.reason for mode in twice)
-    assert_told_right(result, truth)
+    assert_told_right(result, truth, untrue=set(UNTRUE) - {"not linear"})
 
 
 def test_the_high_pass_of_the_sensors_is_no_mode():
