@@ -1,6 +1,8 @@
 """Standard deviations against the Cramer-Rao bound, an explicit Jacobian of all parameters, and many realisations."""
 
 from dataclasses import replace
+from functools import partial
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -9,8 +11,10 @@ from systems import initial_state, modal_system, simulate
 from textbook_output_error import LoopModel, differences, loop_run, parameter_places
 
 from era.realisation import Realisation
+from modal.estimation.modal_parameters import errors_of
+from modal.estimation.modal_states import Block
 from modal.estimation.output_error import step_at
-from modal.identification.covariance import judged_deviations, output_error_uncertainty
+from modal.identification.covariance import chance_of_leaving, judged_deviations, output_error_uncertainty
 from modal.identification.refined_search import MOST_STEPS, RefinedModel, refined_model
 from modal.modes.extraction import extract_modes
 from okid.record import Record
@@ -322,3 +326,28 @@ def test_noise_of_measured_forces_is_stated_as_it_scatters():
     assert np.isfinite(z).all(axis=1).mean() > 0.8
     assert 0.75 < np.sqrt(np.mean(stated**2)) < 1.25
     assert simple.max() > 2.0
+
+
+def test_what_the_true_model_leaves_more_is_what_noise_of_any_colour_makes():
+    """Hausman's test: the truth is refused in no record, one that is several deviations off in all."""
+    chances, of_others = [], []
+    for seed in range(12):
+        rng, truth = truth_of(seed)
+        inputs, clean, _ = data_of(rng, truth, (2000,))
+        noise = coloured(rng, clean[0].shape)
+        model = refined_of(truth, inputs, [clean[0] + noise])
+        size = model.scaling.output_scale
+        best = np.vstack(errors_of(model.step, model.data))
+        weights = len(best) / np.square(best).sum(axis=0)
+        ends = np.linspace(0, 2000, 11).astype(int)
+        blocks = tuple(Block(record=0, first=a, last=b, label=-1) for a, b in pairwise(ends.tolist()))
+        ask = partial(chance_of_leaving, model.step, replace(model.data, blocks=blocks), weights)
+        more = float(weights @ (np.square(noise / size).sum(axis=0) - np.square(best).sum(axis=0)))
+        assert more > 0.0
+        chances.append(ask(more))
+        late = np.vstack([clean[0][:1], clean[0][:-1]])  # answers a sample late
+        other = clean[0] + noise - late
+        of_others.append(ask(float(weights @ (np.square(other / size).sum(axis=0) - np.square(best).sum(axis=0)))))
+    assert min(chances) > 1e-4
+    assert 0.1 < np.median(chances) < 0.95
+    assert max(of_others) < 1e-4
