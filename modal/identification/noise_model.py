@@ -71,6 +71,8 @@ WHITE_AT = 1e-3
 """Call errors white where the portmanteau test of white ones gives more as often: one record in a thousand is lost."""
 LONG_BLOCKS = 10
 """Tell how far noise moves a model from so many blocks of a record: they are long against what structures remember."""
+ACTS = 0.5
+"""Ask that only where inputs act in more than this share of all rows."""
 FOUND = "the past of the outputs tells more about the inputs than their own does"
 WHY_TOLD = "something feeds them back, or the inputs move between their samples as only the outputs show"
 MOVED = "the inputs follow the outputs as in a loop, which may move it by several of its deviations"
@@ -303,8 +305,12 @@ def _output_error(
 def _strays(system: Realisation, reference: LikeliestFit, scaled: Sequence[Record], rows: Sequence[BoolArray]) -> bool:
     """Whether the system of a predictor leaves more in a free run than noise makes of the one that leaves least.
 
-    Then what it takes for noise is none: not linear, or changing, which a free run follows no less for that.
+    Then what it takes for noise is none: not linear, or changing, which a free run follows no less for that. Of inputs
+    that act in few rows it cannot be told: what follows lies within the memory of noise that rings as the system does.
     """
+    acts = [(record.inputs != np.median(record.inputs, axis=0)).any(axis=1) for record in scaled]
+    if not np.concatenate(acts).mean() > ACTS:
+        return False
     shares = np.linspace(0.0, 1.0, LONG_BLOCKS + 1)
     blocks = [
         Block(record=i, first=first, last=last, label=-1)
