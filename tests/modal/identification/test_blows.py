@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+import scipy
 from scipy.signal import lfilter
 from systems import modal_system, simulate
 
@@ -191,6 +192,24 @@ def test_blows_that_are_answered_each_in_its_own_way_are_told_from_noise_of_the_
         said += len(told)
         assert scatter or wind or not result.warnings
     assert said == (1 if scatter else 0)
+
+
+def test_no_mode_follows_what_a_filter_rings_on():
+    """Of short blows it lets through what no sample shows: modes about its corner explained that, some certain."""
+    often, n, corner = 16, 4000, scipy.signal.butter(8, 0.8 / 16, output="sos")
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        force = np.zeros(n * often)
+        for first in (3000, 30_000):
+            length = int(rng.integers(40, 60))
+            force[first : first + length] = np.sin(np.pi * np.arange(length) / length) ** 2
+        pole = np.exp((-0.012 + 1j) * rng.uniform(0.9, 1.1) / often)
+        moved = lfilter([1.0, -2.0, 1.0], [1.0, -2.0 * pole.real, abs(pole) ** 2], force)
+        force, moved = (scipy.signal.sosfilt(corner, one)[::often, np.newaxis] for one in (force, moved))
+        moved += 0.002 * moved.std() * rng.standard_normal(moved.shape)
+        result = identify(Record(force + 0.002 * force.max() * rng.standard_normal(force.shape), moved, 0.001))
+        assert len(result.modes.system) == 1
+        assert result.realisation.order <= 4
 
 
 def test_no_mode_follows_what_a_sensor_of_force_erred_by():
