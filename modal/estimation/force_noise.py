@@ -178,11 +178,9 @@ class LikelyForces:
     def errors(self, data: OutputError) -> tuple[FloatArray, ...]:
         """(n_samples, n_inputs) a record, the likeliest."""
         found = tuple(np.zeros_like(record.inputs) for record in data.records)
-        told = np.split(self.vectors @ self.likeliest, np.cumsum([own.shape[1] for own in self.directions])[:-1])
-        for own, row, which, size, directions, one in zip(
-            found, self.row, self.which, self.deviation, self.directions, told, strict=True
-        ):
-            own[row, which] = size * (directions @ one)
+        told = self._of_each(self.vectors @ self.likeliest)
+        for own, row, which, size, one in zip(found, self.row, self.which, self.deviation, told, strict=True):
+            own[row, which] = size * one
         return found
 
     def drawn(self, rng: np.random.Generator, n_draws: int) -> list[FloatArray]:
@@ -190,11 +188,13 @@ class LikelyForces:
         free = [rng.standard_normal((size.size, n_draws)) for size in self.deviation]
         alone = self.vectors.T @ np.vstack([own.T @ one for own, one in zip(self.directions, free, strict=True)])
         told = rng.standard_normal(alone.shape) / np.sqrt(1.0 + self.power)[:, np.newaxis]
-        parts = np.split(self.vectors @ (told - alone), np.cumsum([own.shape[1] for own in self.directions])[:-1])
-        return [
-            size[:, np.newaxis] * (one + own @ part)
-            for size, one, own, part in zip(self.deviation, free, self.directions, parts, strict=True)
-        ]
+        parts = self._of_each(self.vectors @ (told - alone))
+        return [size[:, np.newaxis] * (one + part) for size, one, part in zip(self.deviation, free, parts, strict=True)]
+
+    def _of_each(self, told: FloatArray) -> list[FloatArray]:
+        """(n, ...) a record, errors in deviations of the sensor, of (n_told of all records, ...) told combinations."""
+        ends = np.cumsum([own.shape[1] for own in self.directions])[:-1]
+        return [own @ part for own, part in zip(self.directions, np.split(told, ends), strict=True)]
 
 
 def likely_forces(

@@ -206,6 +206,22 @@ def modal_system(
     return sampled(A, B, C, D, dt=dt, hold=hold)
 
 
+def three_modes(
+    seed: int, *, real_poles: Sequence[float] = (), n_inputs: int = 2, n_outputs: int = 3
+) -> tuple[np.random.Generator, TruthSystem]:
+    """A generator, and a system that it made: two modes that are close and one apart, 6, 6.6 and 21 Hz."""
+    rng = np.random.default_rng(seed)
+    frequencies, damping_ratios = (6.0, 6.6, 21.0), (0.01, 0.015, 0.02)
+    return rng, modal_system(
+        rng,
+        frequencies=frequencies,
+        damping_ratios=damping_ratios,
+        real_poles=real_poles,
+        n_inputs=n_inputs,
+        n_outputs=n_outputs,
+    )
+
+
 def random_system(
     rng: np.random.Generator,
     *,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy
 from scipy.signal import lfilter
-from systems import modal_system, simulate
+from systems import simulate, three_modes
 
 from era.realisation import Realisation
 from modal.identification.covariance import judged_deviations
@@ -15,18 +15,6 @@ from modal.identification.pipeline import identify
 from modal.identification.refined_search import MOST_STEPS, refined_model
 from modal.modes.extraction import extract_modes
 from okid.record import Record
-
-
-def a_system(seed, *, n_inputs=2, n_outputs=3):
-    rng = np.random.default_rng(seed)
-    system = modal_system(
-        rng,
-        frequencies=(6.0, 6.6, 21.0),
-        damping_ratios=(0.01, 0.015, 0.02),
-        n_inputs=n_inputs,
-        n_outputs=n_outputs,
-    )
-    return rng, system
 
 
 def exact(truth):
@@ -62,7 +50,7 @@ def test_what_a_blow_does_beyond_its_samples_moves_no_pole():
     """Errors that end with a blow leave poles to the free motion: as near, and as sure, as without them."""
     squares, wider, without = [], [], []
     for seed in range(12):
-        rng, truth = a_system(seed, n_inputs=1)
+        rng, truth = three_modes(seed, n_inputs=1)
         records, acting = struck(rng, truth, loud=2.0)
         fit = partial(refined_model, records, exact(truth), MOST_STEPS, by="rows")
         apart, plain = fit(acting=acting), fit()
@@ -87,7 +75,7 @@ def test_what_a_blow_does_beyond_its_samples_moves_no_pole():
 @pytest.mark.parametrize("n_rows", [3, 20])
 def test_errors_that_go_on_after_a_blow_are_not_put_apart(n_rows):
     """As of what is not linear; a blow may act for as long as the structure remembers it."""
-    rng, truth = a_system(3, n_inputs=1)
+    rng, truth = three_modes(3, n_inputs=1)
     records, acting = [], []
     for _ in range(4):
         u = np.zeros((1500, 1))
@@ -104,7 +92,7 @@ def test_a_record_with_loud_sensors_is_no_blow():
     """Noise of all rows of one record, ten times that of others, is no noise of those in which it is struck."""
     apart = 0
     for seed in range(20):
-        rng, truth = a_system(seed, n_inputs=1)
+        rng, truth = three_modes(seed, n_inputs=1)
         records, acting = struck(rng, truth, loud=0.0)
         records[0] = replace(
             records[0], outputs=records[0].outputs + 0.1 * rng.standard_normal(records[0].outputs.shape)
@@ -115,7 +103,7 @@ def test_a_record_with_loud_sensors_is_no_blow():
 
 def test_feedthrough_is_as_sure_as_errors_of_blows_let_it_be():
     """By what a model leaves that these rows have not drawn: one that they have leaves the others loud, too."""
-    rng, truth = a_system(2, n_inputs=1)
+    rng, truth = three_modes(2, n_inputs=1)
     records, acting = struck(rng, truth, loud=2.0)
     data = refined_model(records, exact(truth), MOST_STEPS, by="rows", acting=acting).data
     assert 1.0 / np.sqrt(data.elsewhere) == pytest.approx(2.0 / 0.01, rel=0.3)
@@ -130,7 +118,7 @@ def test_what_a_sensor_of_force_errs_by_is_told_with_what_follows(noise, own_noi
     """
     squares, ratios = [], []
     for seed in range(8):
-        rng, truth = a_system(seed, n_inputs=1)
+        rng, truth = three_modes(seed, n_inputs=1)
         records, acting = struck(rng, truth, loud=0.0, noise=own_noise)
         erred = [noise * rng.standard_normal(one.inputs.shape) * (one.inputs != 0.0) for one in records]
         records = [replace(one, inputs=one.inputs + own) for one, own in zip(records, erred, strict=True)]
@@ -151,7 +139,7 @@ def test_what_a_filter_rings_on_after_a_short_blow_is_of_the_blow():
     """It ends while the motion goes on, which what is not linear would follow; longer than the blow all the same."""
     found = []
     for seed in range(6):
-        rng, truth = a_system(seed, n_inputs=1)
+        rng, truth = three_modes(seed, n_inputs=1)
         records, acting = struck(rng, truth, loud=2.0)
         for k, rows in enumerate(acting):
             last = int(np.flatnonzero(rows)[-1]) + 1
@@ -230,7 +218,7 @@ def test_no_mode_follows_what_a_sensor_of_force_erred_by():
 
 
 def test_a_force_that_what_follows_tells_worse_than_its_sensor_stays_as_it_was_measured():
-    rng, truth = a_system(4, n_inputs=1)
+    rng, truth = three_modes(4, n_inputs=1)
     records, acting = struck(rng, truth, loud=0.0)
     at_rest = np.full((4, 1), 1e-4**2)
     told = refined_model(records, exact(truth), MOST_STEPS, by="rows", acting=acting, at_rest=at_rest).forces_erred
@@ -239,7 +227,7 @@ def test_a_force_that_what_follows_tells_worse_than_its_sensor_stays_as_it_was_m
 
 def test_errors_of_force_larger_than_its_sensor_makes_are_of_something_else():
     """A structure that is not linear answers each blow as differently."""
-    rng, truth = a_system(3, n_inputs=1)
+    rng, truth = three_modes(3, n_inputs=1)
     records, acting = struck(rng, truth, loud=0.0)
     records = [
         replace(one, inputs=one.inputs * size) for one, size in zip(records, (0.97, 1.0, 1.0, 1.03), strict=True)
@@ -253,7 +241,7 @@ def test_errors_of_force_larger_than_its_sensor_makes_are_of_something_else():
 def test_rows_beside_one_blow_are_told_however_many_outputs_there_are():
     """Two rows on either side tell sizes of three outputs."""
     for seed in range(4):
-        rng, truth = a_system(seed, n_inputs=1)
+        rng, truth = three_modes(seed, n_inputs=1)
         records, acting = struck(rng, truth, loud=2.0, n_records=1)
         (there,) = refined_model(records, exact(truth), MOST_STEPS, by="rows", acting=acting).data.measured
         first = int(acting[0].argmax())
@@ -285,7 +273,7 @@ def test_deviations_of_feedthrough_hold_the_errors_of_blows(colour):
     """Only while a blow acts do rows tell what it does at once, beside coloured noise of sensors, too."""
     squares = []
     for seed in range(12):
-        rng, truth = a_system(seed, n_inputs=1)
+        rng, truth = three_modes(seed, n_inputs=1)
         records, acting = struck(rng, truth, loud=2.0)
         for i, one in enumerate(records):
             noise = lfilter([0.02], [1.0, -colour], rng.standard_normal(one.outputs.shape), axis=0)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from systems import initial_state, markov, modal_system, simulate
+from systems import initial_state, markov, modal_system, simulate, three_modes
 
 from era.balanced import realise
 from era.kalman import check_innovations
@@ -23,19 +23,6 @@ from okid.markov import MarkovParameters, recover_markov
 from okid.observer import fit_observer
 from okid.record import Record
 from okid.scaling import channel_scaling
-
-
-def a_system(seed, *, real_poles=(), n_inputs=2, n_outputs=3):
-    rng = np.random.default_rng(seed)
-    system = modal_system(
-        rng,
-        frequencies=(6.0, 6.6, 21.0),
-        damping_ratios=(0.01, 0.015, 0.02),
-        real_poles=real_poles,
-        n_inputs=n_inputs,
-        n_outputs=n_outputs,
-    )
-    return rng, system
 
 
 def records_of(rng, truth, lengths, *, noise=0.05):
@@ -79,7 +66,7 @@ def pulses_of_step(model, n_lags=80):
 @pytest.mark.parametrize("real_poles", [(), (-6.0,)])
 @pytest.mark.parametrize("factors", ["kept", "none"])
 def test_the_realisation_is_what_the_last_step_says(real_poles, factors):
-    rng, truth = a_system(1, real_poles=real_poles)
+    rng, truth = three_modes(1, real_poles=real_poles)
     records = records_of(rng, truth, (900, 500))
     start = from_era(records, truth.order) if factors == "kept" else exact(truth)
     found = refined_model(records, start, MOST_STEPS)
@@ -91,7 +78,7 @@ def test_the_realisation_is_what_the_last_step_says(real_poles, factors):
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_it_comes_nearer_to_the_truth_and_its_indicators_stay(seed):
-    rng, truth = a_system(seed)
+    rng, truth = three_modes(seed)
     records = records_of(rng, truth, (2500,), noise=0.1)
     start = from_era(records, truth.order)
     found = refined_model(records, start, MOST_STEPS).realisation
@@ -108,7 +95,7 @@ def test_it_comes_nearer_to_the_truth_and_its_indicators_stay(seed):
 
 def test_indicators_stay_where_the_factors_have_another_scale():
     """Factors of an impulse test, whose channels are scaled by their pulses, and records in quite other units."""
-    rng, truth = a_system(12)
+    rng, truth = three_modes(12)
     out = np.array([1.0, 1e4, 1e-3])[:, np.newaxis]
     start = realise(MarkovParameters(system=markov(truth, 120) * out, dt=truth.dt), order=truth.order)
     records = [Record(r.inputs, r.outputs * out[:, 0], r.dt) for r in records_of(rng, truth, (1500,), noise=0.01)]
@@ -119,7 +106,7 @@ def test_indicators_stay_where_the_factors_have_another_scale():
 
 def test_a_wrong_model_has_low_indicators():
     """Factors of the data beside a model of something else: EMAC must tell."""
-    rng, truth = a_system(3)
+    rng, truth = three_modes(3)
     records = records_of(rng, truth, (1500,))
     start = from_era(records, truth.order)
     found = refined_model(records, start, MOST_STEPS).realisation
@@ -128,7 +115,7 @@ def test_a_wrong_model_has_low_indicators():
 
 
 def test_each_output_is_weighted_by_its_noise_where_it_is_white():
-    rng, truth = a_system(4)
+    rng, truth = three_modes(4)
     shares = np.array([0.05, 0.1, 0.15])
     records = records_of(rng, truth, (2500,), noise=shares)
     found = refined_model(records, exact(truth), MOST_STEPS)
@@ -146,7 +133,7 @@ def test_each_output_is_weighted_by_its_noise_where_it_is_white():
 
 
 def test_as_many_steps_as_were_chosen():
-    rng, truth = a_system(5)
+    rng, truth = three_modes(5)
     records = records_of(rng, truth, (800,))
     scaling = channel_scaling(records)
     scaled = tuple(scaled_record(record, scaling) for record in filled(records))
@@ -161,7 +148,7 @@ def test_as_many_steps_as_were_chosen():
 
 
 def test_blocks_cover_all_rows_and_are_about_even():
-    rng, truth = a_system(6)
+    rng, truth = three_modes(6)
     for lengths in ((800,), (700, 120, 30), (60,) * 45):
         records = records_of(rng, truth, lengths)
         blocks = refined_model(records, exact(truth), 1).data.blocks
@@ -175,7 +162,7 @@ def test_blocks_cover_all_rows_and_are_about_even():
 
 
 def test_units_and_offsets_do_not_matter():
-    rng, truth = a_system(7)
+    rng, truth = three_modes(7)
     records = records_of(rng, truth, (900,))
     first = refined_model(records, exact(truth), MOST_STEPS).realisation
     out, into = np.array([1e-7, 1.0, 1e9]), np.array([1e5, 1e-4])
@@ -188,7 +175,7 @@ def test_units_and_offsets_do_not_matter():
 
 
 def test_rows_with_a_gap_do_not_count():
-    rng, truth = a_system(8)
+    rng, truth = three_modes(8)
     (record,) = records_of(rng, truth, (1200,))
     outputs = record.outputs.copy()
     outputs[200:260, 1] = np.nan
@@ -203,7 +190,7 @@ def test_rows_with_a_gap_do_not_count():
 
 
 def test_nothing_is_refined_where_nothing_is_left_or_nothing_runs():
-    rng, truth = a_system(9)
+    rng, truth = three_modes(9)
     records = records_of(rng, truth, (400,), noise=0.0)
     assert refined_model(records, exact(truth), MOST_STEPS) is None
     noisy = records_of(rng, truth, (400,))
@@ -213,7 +200,7 @@ def test_nothing_is_refined_where_nothing_is_left_or_nothing_runs():
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("case", ["dead input", "input at rest in one record", "dead output", "tiny records", "spare"])
 def test_hostile_records_end_in_a_stable_model(case):
-    rng, truth = a_system(10)
+    rng, truth = three_modes(10)
     records = records_of(rng, truth, (600, 400))
     start = exact(truth)
     if case == "dead input":
@@ -234,7 +221,7 @@ def test_hostile_records_end_in_a_stable_model(case):
 
 
 def test_an_identification_has_refined_modes_and_a_gain():
-    rng, truth = a_system(11, n_inputs=1, n_outputs=2)
+    rng, truth = three_modes(11, n_inputs=1, n_outputs=2)
     records = records_of(rng, truth, (1500,))
     found = identify(records, observer_order=30, ridge=1e-4, order=6)
     assert found.realisation.K is not None
@@ -304,7 +291,7 @@ def unlike(rng, truth, sizes, *, roving=False):
 
 def test_records_that_share_some_outputs_are_compared_by_those():
     """Two loud ones and a quiet one share the first output; what only the loud ones measured is not loud for them."""
-    rng, truth = a_system(11)
+    rng, truth = three_modes(11)
     sizes = np.array([[10, 10, 10], [10, 10, 10], [1, 1, 1]])
     seen = np.array([[True, True, False], [True, True, False], [True, False, True]])
     records = unlike(rng, truth, sizes)
@@ -316,7 +303,7 @@ def test_records_that_share_some_outputs_are_compared_by_those():
 @pytest.mark.parametrize("n_samples", [3, 4])
 def test_a_stub_of_a_record_that_its_own_state_fits_does_not_outweigh_the_others(n_samples):
     """What is left of few rows, by a level and a state of their own, is no measure of their noise."""
-    rng, truth = a_system(11)
+    rng, truth = three_modes(11)
     whole = unlike(rng, truth, ((1, 1, 1),))
     stub = [replace(whole[0], inputs=whole[0].inputs[:n_samples], outputs=whole[0].outputs[:n_samples])]
     alone, together = (refined_model(those, exact(truth), MOST_STEPS) for those in (whole, whole + stub))
@@ -338,7 +325,7 @@ def test_a_stub_of_a_record_within_a_fold_hides_no_weak_mode_from_the_others():
 
 def test_records_count_by_their_noise():
     """Two noisier records beside a quiet one do no harm: counted alike they make the error five times as large."""
-    rng, truth = a_system(11)
+    rng, truth = three_modes(11)
     true = np.sort([mode.frequency for mode in extract_modes(exact(truth))])
     alone, together = [], []
     for _ in range(12):
@@ -351,7 +338,7 @@ def test_records_count_by_their_noise():
 
 def test_deviations_of_roving_inputs_are_those_of_the_noise_of_their_own_records():
     """What an input does is told by one record, whose outputs are each as noisy as they are there."""
-    rng, truth = a_system(11, n_inputs=3)
+    rng, truth = three_modes(11, n_inputs=3)
 
     def sizes_of(modes):
         largest = [int(np.abs(mode.shape).argmax()) for mode in modes]
@@ -372,7 +359,7 @@ def test_deviations_of_roving_inputs_are_those_of_the_noise_of_their_own_records
 
 
 def test_noise_that_a_force_window_leaves_within_the_blow_widens_what_follows_from_the_force():
-    rng, truth = a_system(12, n_inputs=1)
+    rng, truth = three_modes(12, n_inputs=1)
     records = records_of(rng, truth, (800,), noise=0.02)
     model = refined_model(records, exact(truth), MOST_STEPS)
     modes = extract_modes(model.realisation).modes
