@@ -38,8 +38,8 @@ from modal.effects.effect import Effect
 from modal.localisation.levels import LevelModes
 from modal.simulation.drive import drive_of, steps_per_sample
 from modal.simulation.scheme import cpu_seconds
-from modal.structure.checks import SensorKind
 from modal.structure.given import Given, given_model, placed_assembly, returned_model
+from modal.structure.structural_model import SensorKind
 from okid.arrays import FloatArray, listener, one_blas_thread
 from okid.display import Displayed
 from okid.errors import InvalidDataError, NumericalError

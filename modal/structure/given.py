@@ -18,11 +18,10 @@ from modal.simulation.drive import Drive, drive_of, steps_per_sample
 from modal.simulation.plant import Plant, released_masses
 from modal.simulation.scheme import scheme_and_slopes
 from modal.simulation.trajectory import resting_states, simulate_states
-from modal.structure.checks import SensorKind
 from modal.structure.placed import PlacedEffect, law_of
 from modal.structure.plant_model import PlantModel
 from modal.structure.state_space_plant import static_plant_of_records
-from modal.structure.structural_model import StructuralModel
+from modal.structure.structural_model import SensorKind, StructuralModel
 from modal.structure.structural_plant import structural_plant, updated_structure
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError, NumericalError

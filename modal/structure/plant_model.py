@@ -12,11 +12,11 @@ from typing import Any
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
 from modal.simulation.plant import Plant, PlantMatrices, plant_matrices
-from modal.structure.checks import SensorKind
 from modal.structure.equations import equations_of_plant
 from modal.structure.model_file import KeptModel
 from modal.structure.placed import PlacedEffect, placed_effect
 from modal.structure.state_space_plant import state_space_plant
+from modal.structure.structural_model import SensorKind
 from okid.arrays import FloatArray, frozen
 from okid.display import first_names
 from okid.record import InputHold, Record

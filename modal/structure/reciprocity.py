@@ -32,8 +32,8 @@ import scipy
 
 from modal.simulation.plant import LinearParameter
 from modal.simulation.tolerances import ROUNDING, UNDAMPED_DEVIATION
-from modal.structure.checks import RIGID, SensorKind
 from modal.structure.continuous_time import UNDAMPED, ContinuousSystem
+from modal.structure.structural_model import RIGID, SensorKind
 from okid.arrays import TINY, FloatArray
 from okid.errors import InvalidDataError
 

@@ -49,7 +49,6 @@ import scipy
 from modal.effects.catalogue import composed_unit
 from modal.simulation.plant import LinearParameter, Plant, Port, plant_matrices
 from modal.simulation.tolerances import ROUNDING
-from modal.structure.checks import RIGID, SensorKind, matched_names, sensor_kinds, tolerance
 from modal.structure.continuous_time import ContinuousSystem, continuous_system, in_modal_coordinates
 from modal.structure.reciprocity import (
     REACH,
@@ -60,6 +59,7 @@ from modal.structure.reciprocity import (
     reciprocal_structure,
     symmetric_changes,
 )
+from modal.structure.structural_model import RIGID, SensorKind, matched_names, sensor_kinds, tolerance
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 from okid.record import InputHold, Record, labels
