@@ -48,9 +48,8 @@ if TYPE_CHECKING:
     from modal.quality import check_quality
     from modal.recording import log_diagnosis, log_identification, save_recording
     from modal.report import write_report
-    from modal.structure.given import simulate
+    from modal.structure.given import PlantModel, simulate
     from modal.structure.model_file import read_model, write_model
-    from modal.structure.plant_model import PlantModel
     from modal.structure.structural_model import StructuralModel
     from modal.structure.structural_plant import Element
     from modal.tracking import Alarm, Track, Tracks, track
@@ -135,7 +134,7 @@ _PLACES = {
     "ModePairs": "modal.modes.shape_comparison",
     "OrderChoice": "modal.identification.order_search",
     "OrderEvidence": "modal.identification.result",
-    "PlantModel": "modal.structure.plant_model",
+    "PlantModel": "modal.structure.given",
     "ReciprocityError": "modal.modes.modal_mass",
     "RepeatedModes": "modal.modes.shape_comparison",
     "ScaledResponse": "modal.modes.modal_mass",

@@ -14,7 +14,7 @@ from modal.structure.structural_plant import relative_vector, structural_plant
 from okid.arrays import FloatArray
 
 if TYPE_CHECKING:
-    from modal.structure.plant_model import PlantModel
+    from modal.structure.given import PlantModel
     from modal.structure.structural_model import StructuralModel
 
 
@@ -62,7 +62,7 @@ def equations_of_plant(model: "PlantModel", *, catalogue: Mapping[str, Effect] =
 
     Example:
         >>> import control
-        >>> from modal.structure.plant_model import PlantModel
+        >>> from modal.structure.given import PlantModel
         >>> shaft = PlantModel.from_state_space(control.ss([[-5.0]], [[4.0]], [[1.0]], [[0.0]]), sensor_kind="velocity",
         ...     output_names=["speed"], output_units=["rad/s"])
         >>> print(equations_of_plant(shaft.with_effect("quadratic_drag", "speed", c2=0.01)))

@@ -46,7 +46,7 @@ from okid.readers.arrays import array_of
 from okid.readers.guard import Existing, foreign, new_file, sound_archive
 
 if TYPE_CHECKING:
-    from modal.structure.plant_model import PlantModel
+    from modal.structure.given import PlantModel
     from modal.structure.structural_model import StructuralModel
 
 _MOST_TEXT = 1 << 25

@@ -18,9 +18,8 @@ from modal.discrepancy.fitting.nodes import SMALLEST_FALL, Node
 from modal.discrepancy.programs.program import CorrectedCallable, Simulator, run_callable
 from modal.effects.effect import Effect, ForceEffect, SensorEffect
 from modal.identification.order_search import choose_orders
-from modal.structure.given import Given, returned_model
+from modal.structure.given import Given, PlantModel, returned_model
 from modal.structure.placed import PlacedEffect
-from modal.structure.plant_model import PlantModel
 from okid.arrays import TINY, FloatArray
 from okid.errors import IdentificationError, quiet
 from okid.markov import recover_markov

@@ -14,8 +14,7 @@ import pytest
 from modal.discrepancy import CATALOGUE, diagnose
 from modal.discrepancy.diagnosis import fit
 from modal.discrepancy.noise.floor import noise_floor
-from modal.structure.given import simulate
-from modal.structure.plant_model import PlantModel
+from modal.structure.given import PlantModel, simulate
 from modal.structure.structural_model import StructuralModel
 from okid.readers import read_record
 from okid.record import Record

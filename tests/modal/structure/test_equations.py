@@ -9,8 +9,7 @@ import pytest
 from modal.discrepancy import register
 from modal.effects.springs import CubicStiffness
 from modal.structure.equations import equations_of_plant, equations_of_structure, linear_sum
-from modal.structure.given import simulate
-from modal.structure.plant_model import PlantModel
+from modal.structure.given import PlantModel, simulate
 from modal.structure.structural_model import StructuralModel
 from okid.errors import InvalidDataError
 

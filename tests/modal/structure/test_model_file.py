@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from modal.structure.given import PlantModel
 from modal.structure.model_file import read_model, write_model
-from modal.structure.plant_model import PlantModel
 from modal.structure.structural_model import StructuralModel
 from modal.structure.structural_plant import Element
 from okid.errors import InvalidDataError, UnreadableFileError

@@ -6,7 +6,7 @@ import scipy
 from systems import chain_matrices, structure
 
 from modal.simulation.plant import Plant, PlantMatrices, plant_matrices, with_masses
-from modal.structure.plant_model import PlantModel
+from modal.structure.given import PlantModel
 from modal.structure.structural_model import StructuralModel
 from modal.structure.structural_plant import Element, place_name, structural_plant
 from okid.errors import InvalidDataError
