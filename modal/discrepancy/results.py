@@ -12,8 +12,8 @@ from typing import Any, Literal
 import numpy as np
 
 from modal.effects.catalogue import effects_at
+from modal.simulation import FOLLOWED, UNLIKELY, explained
 from modal.simulation.plant import MASS
-from modal.simulation.tolerances import FOLLOWED, UNLIKELY, explained
 from modal.structure.structural_model import StructuralModel
 from modal.structure.structural_plant import places_in_words
 from modal.wording.text import listed, percent, times_floor_text

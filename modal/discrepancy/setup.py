@@ -29,10 +29,10 @@ from modal.localisation.evidence import Location, locate
 from modal.localisation.gap import measure_gap
 from modal.localisation.levels import LevelModes, level_modes
 from modal.localisation.lines import measure_lines
+from modal.simulation import AT_FLOOR, FOLLOWED, NEAR_FLOOR, ROUNDING
 from modal.simulation.drive import drive_of, steps_per_sample
 from modal.simulation.plant import Plant, plant_matrices
 from modal.simulation.scheme import Budget
-from modal.simulation.tolerances import AT_FLOOR, FOLLOWED, NEAR_FLOOR, ROUNDING
 from modal.structure.given import Given, placed_assembly, refuse_missing_inputs
 from modal.wording.text import quantity, times_floor_text
 from okid.arrays import TINY, FloatArray

@@ -26,8 +26,8 @@ from modal.effects.springs import (
     SineSoftening,
     TimeVaryingStiffness,
 )
+from modal.simulation import DIFFERENCE_STEP
 from modal.simulation.plant import Plant
-from modal.simulation.tolerances import DIFFERENCE_STEP
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 

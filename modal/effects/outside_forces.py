@@ -25,7 +25,7 @@ from modal.effects.effect import (
     Values,
     memoryless,
 )
-from modal.simulation.tolerances import UNDAMPED_DEVIATION
+from modal.simulation import UNDAMPED_DEVIATION
 from okid.arrays import FloatArray
 
 

@@ -36,7 +36,7 @@ from modal.effects.effect import (
     cut_to_finite,
     memoryless,
 )
-from modal.simulation.tolerances import DIFFERENCE_STEP
+from modal.simulation import DIFFERENCE_STEP
 from okid.arrays import FloatArray
 
 N_POINTS = (9, 15, 25)

@@ -22,7 +22,7 @@ from modal.localisation.bands import line_power
 from modal.localisation.gap import BEYOND_CHANCE, Gap, LevelTrend
 from modal.localisation.levels import LevelMode, LevelModes
 from modal.localisation.lines import Lines, line_statements
-from modal.simulation.tolerances import AT_FLOOR
+from modal.simulation import AT_FLOOR
 from modal.wording.text import Statement, listed, number, part, percent, quantity, times, times_floor_text
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.display import Displayed

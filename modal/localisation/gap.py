@@ -23,7 +23,7 @@ import numpy.typing as npt
 import scipy
 
 from modal.localisation.bands import BandTable, CellTable, WindowTable, octave_bands, spectral_tables, window_table
-from modal.simulation.tolerances import ROUNDING, SURE, UNLIKELY
+from modal.simulation import ROUNDING, SURE, UNLIKELY
 from okid.arrays import FloatArray
 from okid.errors import InvalidDataError
 from okid.record import Record

@@ -28,8 +28,8 @@ from modal.effects.catalogue import CATALOGUE, effect_name
 from modal.effects.effect import InputEffect
 from modal.localisation.gap import Gap, measure_gap
 from modal.localisation.levels import LevelMode, LevelModes
+from modal.simulation import NEAR_FLOOR
 from modal.simulation.assembly import MOST
-from modal.simulation.tolerances import NEAR_FLOOR
 from modal.wording.text import NINETY_FIVE, listed, number
 from okid.arrays import FloatArray
 from okid.record import Record

@@ -34,7 +34,7 @@ from modal.sections.discrepancy_stages import (
     times_text,
     value_with_unit,
 )
-from modal.simulation.tolerances import explained
+from modal.simulation import explained
 from modal.structure.given import PlantModel
 from modal.structure.structural_model import StructuralModel
 from modal.wording.text import MOST_NAMED, exact_percent, listed, number, percent

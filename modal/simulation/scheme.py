@@ -23,8 +23,8 @@ from itertools import pairwise
 import numpy as np
 import scipy
 
+from modal.simulation import DIFFERENCE_STEP
 from modal.simulation.plant import Plant, PlantMatrices, plant_matrices
-from modal.simulation.tolerances import DIFFERENCE_STEP
 from okid.arrays import TINY, FloatArray
 
 

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 import scipy
 
+from modal.simulation import ROUNDING, UNDAMPED_DEVIATION
 from modal.simulation.plant import LinearParameter
-from modal.simulation.tolerances import ROUNDING, UNDAMPED_DEVIATION
 from okid.arrays import ComplexArray, FloatArray, frozen, time_step
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import InputHold

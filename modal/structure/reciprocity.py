@@ -30,8 +30,8 @@ from typing import Literal
 import numpy as np
 import scipy
 
+from modal.simulation import ROUNDING, UNDAMPED_DEVIATION
 from modal.simulation.plant import LinearParameter
-from modal.simulation.tolerances import ROUNDING, UNDAMPED_DEVIATION
 from modal.structure.continuous_time import UNDAMPED, ContinuousSystem
 from modal.structure.structural_model import RIGID, SensorKind
 from okid.arrays import TINY, FloatArray

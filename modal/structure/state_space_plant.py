@@ -47,8 +47,8 @@ import numpy as np
 import scipy
 
 from modal.effects.catalogue import composed_unit
+from modal.simulation import ROUNDING
 from modal.simulation.plant import LinearParameter, Plant, Port, plant_matrices
-from modal.simulation.tolerances import ROUNDING
 from modal.structure.continuous_time import ContinuousSystem, continuous_system, in_modal_coordinates
 from modal.structure.reciprocity import (
     REACH,

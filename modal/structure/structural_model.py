@@ -17,8 +17,8 @@ import scipy
 
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
+from modal.simulation import ROUNDING
 from modal.simulation.plant import plant_matrices
-from modal.simulation.tolerances import ROUNDING
 from modal.structure.equations import equations_of_structure
 from modal.structure.model_file import KeptModel
 from modal.structure.placed import PlacedEffect, placed_effect

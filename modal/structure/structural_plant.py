@@ -26,8 +26,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy
 
+from modal.simulation import ROUNDING, UNDAMPED_DEVIATION
 from modal.simulation.plant import MASS, LinearParameter, Mass, Plant, Port
-from modal.simulation.tolerances import ROUNDING, UNDAMPED_DEVIATION
 from okid.arrays import FloatArray, real_number
 from okid.display import Displayed
 from okid.errors import InvalidDataError

@@ -18,10 +18,10 @@ import numpy as np
 from modal.discrepancy.fitting.estimation import Estimate, Problem, covariance, estimate, simulate_at
 from modal.discrepancy.fitting.observer_form import LOST, LostMotion, graded_run, observer_gain
 from modal.effects.effect import Effect, is_sharp
+from modal.simulation import AT_FLOOR, explained
 from modal.simulation.assembly import Assembly, Unknowns, assemble
 from modal.simulation.plant import released_masses, with_masses, with_wider_masses
 from modal.simulation.scheme import Budget
-from modal.simulation.tolerances import AT_FLOOR, explained
 from modal.simulation.trajectory import SHARP
 from okid.arrays import FloatArray
 

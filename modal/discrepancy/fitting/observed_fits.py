@@ -10,9 +10,9 @@ from modal.discrepancy.fitting.estimation import Estimate, estimate, simulate_at
 from modal.discrepancy.fitting.nodes import Node, Task
 from modal.discrepancy.fitting.observer_form import observer_gain
 from modal.discrepancy.selection.screening import Candidate
+from modal.simulation import explained
 from modal.simulation.assembly import Assembly, Unknowns
 from modal.simulation.scheme import Budget, simulation_work
-from modal.simulation.tolerances import explained
 from modal.simulation.trajectory import SHARP
 from okid.arrays import FloatArray
 

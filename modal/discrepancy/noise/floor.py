@@ -45,7 +45,7 @@ import scipy
 
 from modal.discrepancy.noise.spectral import FEWEST_ROWS, SpectralFloor, smallest_variance, spectral_floor
 from modal.localisation.lines import input_period, measure_lines
-from modal.simulation.tolerances import ROUNDING, UNLIKELY
+from modal.simulation import ROUNDING, UNLIKELY
 from okid.arrays import FloatArray, frozen_with_gaps
 from okid.display import Displayed
 from okid.errors import InvalidDataError

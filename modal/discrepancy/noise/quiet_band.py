@@ -29,7 +29,7 @@ import numpy as np
 import scipy
 
 from modal.localisation.lines import FALSE_ALARM
-from modal.simulation.tolerances import ROUNDING, SURE
+from modal.simulation import ROUNDING, SURE
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 
 _DEGREE = 2

@@ -23,8 +23,8 @@ from modal.discrepancy.noise.quiet_band import (
     residual_spectrum,
     steady_level,
 )
+from modal.simulation import ROUNDING
 from modal.simulation.scheme import Scheme
-from modal.simulation.tolerances import ROUNDING
 from okid.arrays import TINY, BoolArray, FloatArray
 from okid.record import Record
 from okid.rows import runs_of

@@ -41,7 +41,7 @@ from modal.localisation.evidence import Location, locate
 from modal.localisation.gap import measure_gap
 from modal.localisation.levels import level_modes
 from modal.localisation.lines import measure_lines
-from modal.simulation.tolerances import NEAR_FLOOR, explained
+from modal.simulation import NEAR_FLOOR, explained
 from modal.structure.given import Given, PlantModel, given_model
 from modal.structure.structural_model import SensorKind
 from modal.wording.text import times_floor_text

@@ -33,9 +33,9 @@ from modal.discrepancy.noise.floor import SAME_NUMBER
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect, InputEffect, SensorEffect, is_sharp
 from modal.localisation.gap import SAME_LEVEL
+from modal.simulation import ROUNDING
 from modal.simulation.assembly import drive_inputs
 from modal.simulation.drive import drive_of, steps_per_sample
-from modal.simulation.tolerances import ROUNDING
 from modal.simulation.trajectory import SHARP
 from modal.structure.equations import equations_of_plant
 from modal.structure.given import PlantModel, placed_assembly

@@ -50,8 +50,8 @@ from modal.discrepancy.selection.lack_of_fit import only_noise
 from modal.discrepancy.selection.screening import Candidate, screen_candidates
 from modal.discrepancy.selection.smaller_models import Law, is_limit, merged, simple_first
 from modal.effects.effect import Effect, ForceEffect
+from modal.simulation import AT_FLOOR, explained
 from modal.simulation.assembly import Assembly, Unknowns
-from modal.simulation.tolerances import AT_FLOOR, explained
 from modal.simulation.trajectory import SHARP
 
 PLACES, SHAPES = 2, 2

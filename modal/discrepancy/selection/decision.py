@@ -45,9 +45,9 @@ from modal.discrepancy.setup import BY_MODEL, Setup, circumstances_of, with_colo
 from modal.effects.ambiguity import ambiguous_with
 from modal.effects.catalogue import effects_at
 from modal.effects.effect import is_form_free
+from modal.simulation import AT_FLOOR, NEAR_FLOOR, SURE, explained
 from modal.simulation.assembly import EffectPlacement
 from modal.simulation.scheme import Budget
-from modal.simulation.tolerances import AT_FLOOR, NEAR_FLOOR, SURE, explained
 from modal.structure.placed import possible_places
 from modal.wording.text import listed, number, percent, times_floor_text
 from okid.arrays import TINY, BoolArray

@@ -22,9 +22,9 @@ from modal.discrepancy.noise.spectral import log_chi_square_tail
 from modal.discrepancy.selection.beam import expand
 from modal.discrepancy.selection.lack_of_fit import lack_of_fit, what_is_left
 from modal.effects.smooth_law import N_POINTS, SmoothLaw
+from modal.simulation import ROUNDING, UNLIKELY, explained
 from modal.simulation.assembly import Unknowns
 from modal.simulation.scheme import Budget
-from modal.simulation.tolerances import ROUNDING, UNLIKELY, explained
 from okid.arrays import TINY, FloatArray
 
 MOST_WORK = 5e7

@@ -49,10 +49,10 @@ from modal.discrepancy.results import Follows, LackOfFit, ResidualKind, beyond_n
 from modal.discrepancy.selection.smaller_models import run_without
 from modal.effects.catalogue import effects_at
 from modal.effects.effect import ForceEffect, is_sharp
+from modal.simulation import ROUNDING
 from modal.simulation.assembly import EffectPlacement
 from modal.simulation.drive import Drive
 from modal.simulation.plant import Port
-from modal.simulation.tolerances import ROUNDING
 from modal.simulation.trajectory import Source, force_response, respond, sensitivity
 from modal.wording.text import NINETY_FIVE, number, percent
 from okid.arrays import TINY, BoolArray, FloatArray

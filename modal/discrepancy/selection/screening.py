@@ -19,11 +19,11 @@ import scipy
 
 from modal.discrepancy.fitting.estimation import Estimate, Problem, weights_along
 from modal.effects.effect import Effect, ForceEffect, InputEffect, Motion, SensorEffect, Situation, Values
+from modal.simulation import ROUNDING
 from modal.simulation.assembly import Assembly, EffectPlacement, Unknowns, drive_inputs, initial_unknowns, place_effect
 from modal.simulation.drive import Drive, IndexArray
 from modal.simulation.forces import motion_at
 from modal.simulation.scheme import Recursion
-from modal.simulation.tolerances import ROUNDING
 from modal.simulation.trajectory import Source, force_response, respond, sensitivity
 from modal.structure.placed import possible_places
 from okid.arrays import TINY, BoolArray, FloatArray

@@ -46,8 +46,8 @@ from modal.discrepancy.fitting.nodes import (
     polished,
 )
 from modal.effects.catalogue import CATALOGUE
+from modal.simulation import explained
 from modal.simulation.assembly import Assembly, EffectPlacement, Unknowns, place_effect
-from modal.simulation.tolerances import explained
 from modal.simulation.trajectory import SHARP, Sensitivity
 from modal.structure.reciprocity import INTERNAL_FORCE
 from okid.arrays import TINY, FloatArray

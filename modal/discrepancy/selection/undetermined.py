@@ -22,9 +22,9 @@ from modal.discrepancy.selection.lack_of_fit import SLIGHT
 from modal.effects.ambiguity import Circumstance
 from modal.effects.catalogue import effect_name
 from modal.effects.effect import ParameterKind
+from modal.simulation import SURE
 from modal.simulation.assembly import EffectPlacement
 from modal.simulation.plant import Plant
-from modal.simulation.tolerances import SURE
 from modal.wording.text import number, quantity
 from okid.record import Record
 

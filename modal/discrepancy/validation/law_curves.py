@@ -49,11 +49,11 @@ from modal.discrepancy.validation.law_points import (
 )
 from modal.effects.effect import ForceEffect, InputEffect, SensorEffect, is_form_free
 from modal.effects.smooth_law import SmoothLaw
+from modal.simulation import ROUNDING
 from modal.simulation.assembly import EffectPlacement, drive_inputs
 from modal.simulation.drive import Drive
 from modal.simulation.forces import motion_at
 from modal.simulation.plant import Plant, Port
-from modal.simulation.tolerances import ROUNDING
 from modal.simulation.trajectory import Source
 from modal.wording.text import NINETY_FIVE
 from okid.arrays import FloatArray

@@ -44,9 +44,9 @@ from modal.discrepancy.fitting.estimation import (
 )
 from modal.discrepancy.selection.lack_of_fit import INDISTINCT
 from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Values
+from modal.simulation import DIFFERENCE_STEP, ROUNDING
 from modal.simulation.assembly import EffectPlacement, Unknowns, drive_inputs
 from modal.simulation.drive import Drive
-from modal.simulation.tolerances import DIFFERENCE_STEP, ROUNDING
 from modal.simulation.trajectory import Sensitivity, Source, respond, sensitivity
 from okid.arrays import TINY, FloatArray
 

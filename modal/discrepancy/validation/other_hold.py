@@ -20,7 +20,7 @@ import numpy as np
 from modal.discrepancy.results import Diagnosis
 from modal.effects.catalogue import effects_at
 from modal.effects.effect import Effect
-from modal.simulation.tolerances import AT_FLOOR, FOLLOWED, UNLIKELY, explained
+from modal.simulation import AT_FLOOR, FOLLOWED, UNLIKELY, explained
 from modal.wording.text import number
 from okid.arrays import FloatArray
 from okid.record import InputHold, Record

@@ -265,7 +265,7 @@ def test_a_share_never_reads_as_all_unless_it_is(share):
 
 
 def test_the_limits_of_the_words_are_those_of_the_decision():
-    from modal.simulation.tolerances import NEAR_FLOOR
+    from modal.simulation import NEAR_FLOOR
 
     assert pytest.approx(NEAR_FLOOR) == NAMED_WITHIN**2
 

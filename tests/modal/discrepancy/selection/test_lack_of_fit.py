@@ -16,7 +16,7 @@ import okid
 from modal.discrepancy import CATALOGUE, decide, diagnose
 from modal.discrepancy.results import EVEN, LackOfFit
 from modal.discrepancy.selection.lack_of_fit import what_is_left
-from modal.simulation.tolerances import AT_FLOOR, UNLIKELY
+from modal.simulation import AT_FLOOR, UNLIKELY
 
 CUBIC_ALONE = {"cubic_stiffness": CATALOGUE["cubic_stiffness"]}
 
