@@ -20,9 +20,8 @@ from modal.simulation.drive import Drive, drive_of, steps_per_sample
 from modal.simulation.plant import Plant, PlantMatrices, plant_matrices, released_masses
 from modal.simulation.scheme import scheme_and_slopes
 from modal.simulation.trajectory import resting_states, simulate_states
-from modal.structure.equations import equations_of_plant
 from modal.structure.model_file import KeptModel
-from modal.structure.placed import PlacedEffect, law_of, placed_effect
+from modal.structure.placed import PlacedEffect, equations_of_plant, law_of, placed_effect
 from modal.structure.state_space_plant import state_space_plant, static_plant_of_records
 from modal.structure.structural_model import SensorKind, StructuralModel
 from modal.structure.structural_plant import structural_plant, updated_structure

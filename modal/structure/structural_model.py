@@ -19,9 +19,8 @@ from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
 from modal.simulation import ROUNDING
 from modal.simulation.plant import plant_matrices
-from modal.structure.equations import equations_of_structure
 from modal.structure.model_file import KeptModel
-from modal.structure.placed import PlacedEffect, placed_effect
+from modal.structure.placed import PlacedEffect, equations_of_structure, placed_effect
 from modal.structure.structural_plant import (
     Element,
     chain_elements,

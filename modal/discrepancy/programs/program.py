@@ -37,9 +37,8 @@ from modal.simulation import ROUNDING
 from modal.simulation.assembly import drive_inputs
 from modal.simulation.drive import drive_of, steps_per_sample
 from modal.simulation.trajectory import SHARP
-from modal.structure.equations import equations_of_plant
 from modal.structure.given import PlantModel, placed_assembly
-from modal.structure.placed import PlacedEffect
+from modal.structure.placed import PlacedEffect, equations_of_plant
 from okid.arrays import FloatArray
 from okid.errors import IdentificationError, IdentificationWarning, InvalidDataError, NumericalError
 from okid.markov import recover_markov

@@ -8,8 +8,8 @@ import pytest
 
 from modal.discrepancy import register
 from modal.effects.springs import CubicStiffness
-from modal.structure.equations import equations_of_plant, equations_of_structure, linear_sum
 from modal.structure.given import PlantModel, simulate
+from modal.structure.placed import equations_of_plant, equations_of_structure, linear_sum
 from modal.structure.structural_model import StructuralModel
 from okid.errors import InvalidDataError
 
