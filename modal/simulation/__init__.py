@@ -19,6 +19,8 @@ UNDAMPED_DEVIATION = 0.02
 """Let a damping that is nominally zero be so much of the critical one, as a standard deviation."""
 FOLLOWED = 1e-3
 """Count this share of an output, root mean square, as noise in any case: steps and smoothed corners leave as much."""
+SLIGHT = 0.01
+"""Overlook what is left below this share of the named effect's force, and a gain that is so near to one."""
 
 
 def explained(*levels: float) -> bool:

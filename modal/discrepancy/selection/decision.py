@@ -36,11 +36,12 @@ from modal.discrepancy.selection.smaller_models import (
     AbsorbedGain,
     absorbed_gain,
     at_limits,
+    doubted_gains,
     has_limit,
     sureness,
+    undetermined,
     without,
 )
-from modal.discrepancy.selection.undetermined import doubted_gains, undetermined
 from modal.discrepancy.setup import BY_MODEL, Setup, circumstances_of, with_coloured_floor, with_uncovered_floor
 from modal.effects.ambiguity import ambiguous_with
 from modal.effects.catalogue import effects_at

@@ -49,7 +49,7 @@ from modal.discrepancy.results import Follows, LackOfFit, ResidualKind, beyond_n
 from modal.discrepancy.selection.smaller_models import run_without
 from modal.effects.catalogue import effects_at
 from modal.effects.effect import ForceEffect, is_sharp
-from modal.simulation import ROUNDING
+from modal.simulation import ROUNDING, SLIGHT
 from modal.simulation.assembly import EffectPlacement
 from modal.simulation.drive import Drive
 from modal.simulation.plant import Port
@@ -558,9 +558,8 @@ def _own_weight(left: _Left, changes: Sequence[FloatArray], mine: slice) -> floa
     return total
 
 
-SLIGHT, MUCH = 0.01, 0.1
-"""Overlook what is left below the first share of the named effect's force, and name nothing firmly above the second,
-whatever it depends on."""
+MUCH = 0.1
+"""Name nothing firmly above this share of the named effect's force, whatever it depends on."""
 
 
 def only_noise(node: Node, root: Node, task: Task) -> bool:

@@ -34,7 +34,6 @@ import scipy
 
 from modal.discrepancy.fitting.estimation import Estimate, Problem
 from modal.discrepancy.results import LawCurve
-from modal.discrepancy.selection.lack_of_fit import SLIGHT
 from modal.discrepancy.validation.law_points import (
     Bins,
     Told,
@@ -49,7 +48,7 @@ from modal.discrepancy.validation.law_points import (
 )
 from modal.effects.effect import ForceEffect, InputEffect, SensorEffect, is_form_free
 from modal.effects.smooth_law import SmoothLaw
-from modal.simulation import ROUNDING
+from modal.simulation import ROUNDING, SLIGHT
 from modal.simulation.assembly import EffectPlacement, drive_inputs
 from modal.simulation.drive import Drive
 from modal.simulation.forces import motion_at

@@ -22,7 +22,7 @@ from modal.discrepancy.results import (
 from modal.discrepancy.selection.decision import Decision
 from modal.discrepancy.selection.form_free import split_at_rest, unsettled
 from modal.discrepancy.selection.screening import Candidate, screen_candidates
-from modal.discrepancy.selection.undetermined import GAINS, doubted_gain
+from modal.discrepancy.selection.smaller_models import GAINS, doubted_gain
 from modal.discrepancy.setup import Setup, circumstances_of, simulated_outputs
 from modal.discrepancy.validation.law_curves import law_curves
 from modal.discrepancy.validation.other_hold import half_a_sample, hold_words

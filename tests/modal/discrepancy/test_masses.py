@@ -18,7 +18,7 @@ from modal.discrepancy.fitting.nodes import node_of
 from modal.discrepancy.results import Calibrated
 from modal.discrepancy.selection.decision import _unproved
 from modal.discrepancy.selection.form_free import curves_beside
-from modal.discrepancy.selection.undetermined import undetermined
+from modal.discrepancy.selection.smaller_models import undetermined
 from modal.discrepancy.setup import circumstances_of, prepare_setup, roots
 from modal.discrepancy.validation.summary import _mass_words
 from modal.simulation.assembly import assemble, initial_unknowns, place_effect
