@@ -44,9 +44,8 @@ from era.balanced import realise
 from modal.examples.story import command_line, print_written
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel
-from modal.plots.layout import Chart, Key, grid_of, one_panel
+from modal.plots.chart import Chart, Key, grid_of, one_panel, page_of, svg_text
 from modal.plots.panels import Role
-from modal.plots.vector import page_of, svg_text
 from okid.arrays import FloatArray, frozen
 from okid.errors import InsufficientDataError
 from okid.markov import MarkovParameters

@@ -8,8 +8,8 @@ draws it for a page, without a plotting library: lines, areas and words in colou
 `figure_of` makes a matplotlib figure of it.
 """
 
+from modal.plots.chart import Chart, Notes, chart_text, svg_text
 from modal.plots.histories import measured_against_simulated, residual_autocorrelation
-from modal.plots.layout import Chart
 from modal.plots.order import order_fits, singular_values, stabilisation_diagram
 from modal.plots.responses import markov_parameters, output_spectra, response_chart
 from modal.plots.results import (
@@ -25,7 +25,6 @@ from modal.plots.results import (
     stabilisation,
 )
 from modal.plots.shapes import assurance_matrix, geometry_picture, mode_shapes, shape_complexity
-from modal.plots.vector import Notes, chart_text, svg_text
 
 __all__ = [
     "Chart",

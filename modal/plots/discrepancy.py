@@ -7,8 +7,8 @@ import numpy as np
 
 from modal.discrepancy.results import Diagnosis, Hypothesis, LawCurve, Step, in_words
 from modal.localisation.gap import Gap
+from modal.plots.chart import Chart, Key, grid_of, one_panel, row_of
 from modal.plots.histories import mark_moment
-from modal.plots.layout import Chart, Key, grid_of, one_panel, row_of
 from modal.plots.panels import IN_TURN, STYLE, Panel, Role, envelope
 from modal.plots.responses import density_label
 from modal.sections.discrepancy_stages import (

@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from modal.plots.layout import INCH, Chart, Key, grid_of, one_panel
+from modal.plots.chart import INCH, Chart, Key, grid_of, one_panel
 from modal.plots.panels import IN_TURN, STYLE, Panel, Role, envelope
 from modal.wording.text import fit_text, hertz, plot_label
 from okid.arrays import FloatArray

@@ -7,7 +7,7 @@ import numpy as np
 
 from modal.identification.result import OrderEvidence
 from modal.modes.mode import ModalModel
-from modal.plots.layout import Chart, Key, one_panel
+from modal.plots.chart import Chart, Key, one_panel
 from modal.plots.panels import STYLE, Panel, Role
 from modal.sections.discrepancy_stages import power_spectra
 from modal.verdict.stabilisation import StabilisationPoint

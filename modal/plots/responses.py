@@ -6,7 +6,7 @@ import numpy as np
 
 from era.realisation import Realisation
 from modal.modes.response_synthesis import MeasuredFrf, frf
-from modal.plots.layout import Chart, Key, grid_of, row_of
+from modal.plots.chart import Chart, Key, grid_of, row_of
 from modal.plots.panels import STYLE, Panel, Role
 from modal.sections.discrepancy_stages import power_spectra
 from modal.wording.text import plot_label

@@ -14,8 +14,8 @@ from modal.identification.result import Identification
 from modal.modes.mode import ModalModel, Mode
 from modal.modes.response_synthesis import MeasuredFrf, frf, measured_frf, modal_frf, tabled_frf
 from modal.modes.shape_comparison import assurance as mac
+from modal.plots.chart import INCH, Chart, Key, one_panel
 from modal.plots.histories import measured_against_simulated
-from modal.plots.layout import INCH, Chart, Key, one_panel
 from modal.plots.order import mark_modes, stabilisation_diagram
 from modal.plots.panels import COLOURS, STYLE, Area, Curve, Mark, Panel, Role
 from modal.plots.responses import model_grid, output_spectra, response_chart
@@ -49,7 +49,7 @@ def figure_of(chart: Chart, *, axes: "Axes | Sequence[Axes] | None" = None) -> "
         InvalidDataError: there are not as many axes as panels.
 
     Example:
-        >>> from modal.plots.layout import grid_of
+        >>> from modal.plots.chart import grid_of
         >>> chart = grid_of(1, 1, size=(4.0, 3.0))
         >>> chart.panels[0].line([0, 1, 2], [3, 4, 5], "measured", label="measured")
         >>> figure_of(chart).axes[0].lines[0].get_ydata().tolist()

@@ -13,7 +13,7 @@ from modal.geometry.placement import at_rest, guessed_grid, placed, stated_dofs
 from modal.geometry.scene import Scene, scene_of
 from modal.geometry.sensors import Geometry
 from modal.modes.mode import Mode
-from modal.plots.layout import Chart, one_panel, row_of
+from modal.plots.chart import Chart, one_panel, row_of
 from modal.plots.panels import STYLE, Panel, Role, text_width
 from modal.wording.text import hertz, plot_label
 from okid.arrays import ComplexArray, FloatArray

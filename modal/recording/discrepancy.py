@@ -14,8 +14,8 @@ import numpy as np
 
 from modal.discrepancy.results import Diagnosis, Finding, Hypothesis, LawCurve, Step
 from modal.localisation.gap import Gap
+from modal.plots.chart import one_panel
 from modal.plots.discrepancy import STAGE_ROLES, draw_gap_spectrum, draw_laws, hypothesis_bars, modes_against_level
-from modal.plots.layout import one_panel
 from modal.plots.panels import STYLE
 from modal.plots.responses import density_label
 from modal.recording.figure import COLOURS, Palette, Pane, RecordingStream, log_chart, rr, seen_at

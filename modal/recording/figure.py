@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from modal.plots.layout import Chart
+from modal.plots.chart import Chart
 from modal.plots.panels import STYLE, Area, Curve, Mark, Panel, Role, Scale, Segments, Tick, runs
 from okid.arrays import ROUNDED, FloatArray
 

@@ -15,7 +15,7 @@ from modal.geometry.scene import comparison_words
 from modal.geometry.sensors import Geometry
 from modal.identification.result import Identification, OrderEvidence
 from modal.modes.response_synthesis import MeasuredFrf, measured_frf, tabled_frf
-from modal.plots.layout import Chart
+from modal.plots.chart import Chart, Notes, chart_text, svg_text
 from modal.plots.order import colour_measure, pole_classes
 from modal.plots.results import (
     ResultLimits,
@@ -27,7 +27,6 @@ from modal.plots.results import (
     shape_assurance,
     synthesised_alone,
 )
-from modal.plots.vector import Notes, chart_text, svg_text
 from modal.quality import DataQuality, check_quality
 from modal.wording.text import hertz
 from okid.arrays import FloatArray

@@ -15,8 +15,8 @@ import numpy as np
 
 from modal.identification.result import Identification
 from modal.modes.response_synthesis import tabled_frf
+from modal.plots.chart import grid_of, one_panel
 from modal.plots.histories import residual_autocorrelation
-from modal.plots.layout import grid_of, one_panel
 from modal.plots.panels import IN_TURN, STYLE, Panel
 from modal.plots.responses import density_label
 from modal.plots.results import measured_responses

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from modal.plots.layout import grid_of
+from modal.plots.chart import grid_of
 from modal.plots.panels import IN_TURN, STYLE
 from modal.plots.responses import density_label
 from modal.preparation.channel import Finding

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from modal import plots
 from modal.plots import figure_of
-from modal.plots.layout import Key, grid_of
+from modal.plots.chart import Key, grid_of
 from modal.plots.panels import COLOURS
 from okid.display import Displayed
 from okid.errors import InvalidDataError
@@ -78,7 +78,7 @@ def test_no_window_opens_and_modal_does_not_import_matplotlib():
     code = (
         "import sys, modal, modal.plots, modal.report, modal.recording\n"
         "assert 'matplotlib' not in sys.modules\n"
-        "chart = modal.plots.layout.grid_of(1, 1, size=(1.0, 1.0))\n"
+        "chart = modal.plots.chart.grid_of(1, 1, size=(1.0, 1.0))\n"
         "modal.plots.figure_of(chart)\n"
         "assert 'matplotlib' in sys.modules and 'matplotlib.pyplot' not in sys.modules"
     )

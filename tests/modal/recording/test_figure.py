@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import rerun as rr
 
-from modal.plots.layout import Key, grid_of
+from modal.plots.chart import Key, grid_of
 from modal.recording.figure import Pane, colour_of, log_chart, seen_at
 
 PANE = Pane("page/plot", 600.0, 400.0)

@@ -11,10 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modal import plots
+from modal.plots.chart import MOST_VALUES, Key, Notes, chart_text, grid_of, page_of, row_of, svg_text
 from modal.plots.histories import frequencies_in_time, places_of_records
-from modal.plots.layout import Key, grid_of, row_of
 from modal.plots.panels import Panel, text_width, ticks_between
-from modal.plots.vector import MOST_VALUES, Notes, chart_text, page_of, svg_text
 
 
 def filled(n_rows, n_columns):
