@@ -22,7 +22,7 @@ from modal.identification.result import Identification, load
 from modal.plots.histories import frequencies_of_records, places_of_records
 from modal.report.pages import environment, inline
 from modal.report.pictures import drawn
-from modal.sections.provenance import installed_version
+from modal.sections.validation import installed_version
 from modal.wording.text import listed, shorten
 from okid.display import Displayed
 from okid.errors import InvalidDataError, UnreadableFileError, visible

@@ -27,7 +27,7 @@ from modal.modes.mode import numbered
 from modal.report.folder import write_folder
 from modal.report.machine import csv_text
 from modal.report.writing import keep_result
-from modal.sections.provenance import installed_version
+from modal.sections.validation import installed_version
 from modal.wording.text import shorten
 from okid.errors import IdentificationError, InvalidDataError, UnreadableFileError, visible
 from okid.readers import read_records

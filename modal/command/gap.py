@@ -40,7 +40,7 @@ from modal.sections.discrepancy_stages import (
     stages_of,
     times_text,
 )
-from modal.sections.provenance import Provenance, fingerprints
+from modal.sections.validation import Provenance, fingerprints
 from modal.structure.model_file import read_model
 from modal.wording.text import listed
 from okid.errors import InvalidDataError

@@ -19,7 +19,7 @@ from modal.command.options import complain, spread_files
 from modal.command.stopping import STOPPED, Requests
 from modal.command.terminal import plain_streams
 from modal.report.folder import clear_away
-from modal.sections.provenance import installed_version
+from modal.sections.validation import installed_version
 
 app = typer.Typer(
     add_completion=True,

@@ -58,7 +58,7 @@ from modal.quality.check import check_quality
 from modal.recording.live import log_progress, log_records, log_result
 from modal.report import ReportFiles, write_report
 from modal.report.folder import NoBrowserError, find_browser, refuse_names, standing, write_pdf
-from modal.sections.provenance import Provenance, fingerprints
+from modal.sections.validation import Provenance, fingerprints
 from modal.wording.text import shorten
 from okid.errors import IdentificationWarning, InvalidDataError, visible
 from okid.frequency_response import FrequencyResponse

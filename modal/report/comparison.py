@@ -14,7 +14,7 @@ from modal.modes.mode import Mode
 from modal.report.folder import FileSet, write_folder
 from modal.report.machine import as_json
 from modal.report.pages import environment
-from modal.sections.provenance import installed_version
+from modal.sections.validation import installed_version
 from modal.wording.text import fit_text, hertz, ratio_text
 from okid.readers.guard import Existing
 

@@ -48,7 +48,7 @@ from modal.sections.discrepancy_stages import (
     worst_outputs,
 )
 from modal.sections.discrepancy_words import diagnosis_headline, judge_diagnosis, next_steps, where_sentences
-from modal.sections.provenance import Provenance, installed_version
+from modal.sections.validation import Provenance, installed_version
 from modal.simulation.plant import MASS
 from modal.wording.text import MOST_NAMED, NINETY_FIVE, csv_cell, exact_percent, number, shorten
 from okid.arrays import FloatArray

@@ -27,7 +27,7 @@ from modal.identification.result import Identification, OrderEvidence
 from modal.modes.mode import Choice, Fit, Mode, numbered
 from modal.preparation.kind import RecordKind
 from modal.quality import DataQuality
-from modal.sections.provenance import Provenance, SourceFile, installed_version
+from modal.sections.validation import Provenance, SourceFile, installed_version
 from modal.sections.words import judgement_of
 from modal.wording.text import csv_cell
 from okid.excitation import Excitation

@@ -29,14 +29,15 @@ from modal.plots.results import shape_assurance
 from modal.quality import DataQuality
 from modal.report.pictures import NOTHING_BESIDES, Picture, PictureLimits, Setting
 from modal.sections import words
-from modal.sections.provenance import Provenance, installed_version
 from modal.sections.validation import (
+    Provenance,
     about_lines,
     channel_rows,
     coherence_sentence,
     gap_command,
     gap_sentence,
     has_intervals,
+    installed_version,
     sensor_columns,
     uncertainty_sentences,
     validation_sentences,

@@ -36,7 +36,7 @@ from modal.report.folder import FileSet, refuse_names, write_folder
 from modal.report.machine import csv_text, json_text, schema_text
 from modal.report.pages import html_text, markdown_text
 from modal.report.pictures import Setting, draw_pictures, setting_of
-from modal.sections.provenance import Provenance
+from modal.sections.validation import Provenance
 from okid.arrays import ComplexArray, require
 from okid.errors import InvalidDataError
 from okid.readers.guard import Existing

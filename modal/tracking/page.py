@@ -17,7 +17,7 @@ from modal.recording.series import LATEST
 from modal.recording.tracks import Clock, FollowedMode, FollowedModes, RecordedChange, save_tracks_recording
 from modal.report.pages import environment, inline
 from modal.report.pictures import drawn
-from modal.sections.provenance import installed_version
+from modal.sections.validation import installed_version
 from modal.tracking.tracks import Track, Tracks
 from modal.wording.text import hertz, shorten
 from okid.arrays import FloatArray

@@ -297,7 +297,7 @@ def make_report(folder):
     from modal.identification.pipeline import identify
     from modal.identification.result import write_parts
     from modal.report.machine import json_text
-    from modal.sections.provenance import Provenance
+    from modal.sections.validation import Provenance
 
     result = identify(demo_record(np.random.default_rng(2)), observer_order=20, ridge=0.0, order=8)
     whole = folder.parents[1] / "whole"

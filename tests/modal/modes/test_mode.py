@@ -13,7 +13,7 @@ from modal.modes.mode import Uncertainty, numbered
 from modal.recording.plan import planned
 from modal.report.machine import csv_text, json_text
 from modal.report.pages import html_text, markdown_text
-from modal.sections.provenance import Provenance
+from modal.sections.validation import Provenance
 from okid.errors import InvalidDataError
 
 

@@ -41,7 +41,7 @@ def plain_files(plain, tmp_path_factory):
 def gap_texts(make_gap):
     """{names: (page, Markdown, CSV)} of the same diagnosis with plain and with nasty names."""
     from modal.report.discrepancy_writing import diagnosis_csv, diagnosis_html, diagnosis_markdown, draw_diagnosis
-    from modal.sections.provenance import Provenance
+    from modal.sections.validation import Provenance
 
     found = {}
     for key, names, input_name, where in (

@@ -11,7 +11,7 @@ from modal.modes.response_synthesis import measured_frf
 from modal.plots import order_fits, response_chart, svg_text
 from modal.report.pages import html_text
 from modal.report.pictures import Picture, readable
-from modal.sections.provenance import Provenance
+from modal.sections.validation import Provenance
 
 pytestmark = pytest.mark.skipif(shutil.which("chromium") is None, reason="chromium is not installed")
 

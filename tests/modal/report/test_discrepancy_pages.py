@@ -10,7 +10,7 @@ import pytest
 from page_reader import Skeleton
 
 from modal.report.discrepancy_writing import diagnosis_html, diagnosis_markdown, draw_diagnosis
-from modal.sections.provenance import Provenance
+from modal.sections.validation import Provenance
 
 
 def page_of(diagnosis, name="plain"):

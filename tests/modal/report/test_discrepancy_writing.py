@@ -8,7 +8,7 @@ import pytest
 import modal.recording
 from modal.report import write_report
 from modal.report.discrepancy_writing import DIAGNOSIS_SCHEMA, diagnosis_csv, diagnosis_json
-from modal.sections.provenance import Provenance
+from modal.sections.validation import Provenance
 from modal.structure.structural_model import StructuralModel
 
 

@@ -9,7 +9,7 @@ import pytest
 from modal.acceptance.test_file import AcceptanceLimit, SensorNote, Specification
 from modal.modes.mode import Uncertainty
 from modal.report.machine import SCHEMA, csv_text, document_schema, json_text, schema_file, schema_text, type_schema
-from modal.sections.provenance import Provenance, SourceFile
+from modal.sections.validation import Provenance, SourceFile
 
 
 @pytest.fixture(scope="module")

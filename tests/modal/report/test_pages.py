@@ -18,7 +18,7 @@ from modal.quality import ChannelQuality, ChannelStatistics, DataQuality, Findin
 from modal.report import pages
 from modal.report.pages import PageLimits, html_text, markdown_text
 from modal.report.pictures import Setting, draw_pictures
-from modal.sections.provenance import Provenance, SourceFile
+from modal.sections.validation import Provenance, SourceFile
 from modal.verdict.judgement import FOUND_AGAIN
 from okid.record import Record
 

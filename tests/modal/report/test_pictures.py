@@ -18,7 +18,7 @@ from modal.report import pages, pictures
 from modal.report.machine import json_text
 from modal.report.pages import SWING, html_text, markdown_text, moving_shapes
 from modal.report.pictures import PictureLimits, Setting, draw_pictures, response_pictures, setting_of
-from modal.sections.provenance import Provenance
+from modal.sections.validation import Provenance
 
 
 @pytest.fixture

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from modal.modes.mode import Uncertainty
-from modal.sections.provenance import Provenance
 from modal.sections.validation import (
+    Provenance,
     coherence_sentence,
     gap_command,
     gap_sentence,

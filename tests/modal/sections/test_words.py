@@ -18,8 +18,7 @@ from modal.identification.words import (
     frequency_text,
     trust_of,
 )
-from modal.sections.provenance import fingerprints
-from modal.sections.validation import about_lines, channel_rows, sensor_columns
+from modal.sections.validation import about_lines, channel_rows, fingerprints, sensor_columns
 from modal.sections.words import INDICATORS, data_sentences, fit_word, judgement_of, modes_headline, next_sentences
 from modal.verdict import judgement as verdict
 from modal.wording.text import fit_text, hertz, ratio_text, with_interval
