@@ -31,7 +31,7 @@ import scipy
 from era.realisation import Realisation
 from era.simulation import check_channels, estimate_initial_state, simulate, spectral_radius
 from era.state_recursion import backward_states, finite_gramian, innovation_run
-from okid.arrays import BoolArray, FloatArray
+from okid.arrays import ROUNDED, BoolArray, FloatArray
 from okid.display import Displayed
 from okid.errors import IdentificationError
 from okid.record import Record
@@ -254,8 +254,6 @@ def riccati_gain(A: FloatArray, C: FloatArray, Q: FloatArray, R: FloatArray, S: 
 MOST_STEPS = 40
 SMALLEST_RISE = 1e-2
 """Of the log likelihood, below which another step moves K by much less than its standard deviation."""
-FIRST_SIZE = 1.0
-"""Energy of the free decays that one sample's process noise starts, relative to an output's noise."""
 LARGEST_POLE = 0.999
 """Of a model whose free decays are given an energy."""
 LARGEST_LOSS = 2.0
@@ -271,7 +269,8 @@ def first_gain(A: FloatArray, C: FloatArray, length: int) -> FloatArray:
     shrunk = A * min(1.0, LARGEST_POLE / max(float(np.abs(np.linalg.eigvals(A)).max()), LARGEST_POLE))
     equal = inverse_of_information(finite_gramian(shrunk, C.T @ C, length))
     nothing = np.zeros((A.shape[0], C.shape[0]))
-    return riccati_gain(A, C, FIRST_SIZE * equal, np.eye(C.shape[0]), nothing)
+    # free decays that one sample's process noise starts have as much energy as an output's noise
+    return riccati_gain(A, C, equal, np.eye(C.shape[0]), nothing)
 
 
 def usable_gain(
@@ -308,10 +307,6 @@ def climbed(A: FloatArray, C: FloatArray, start: ScoredGain, n_rows: int, *, sta
         if rise < SMALLEST_RISE:
             break
     return best
-
-
-ROUND_OFF = 1e-9
-"""Size of what the free run leaves of an output, relative to the output, that is rounding."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
@@ -443,7 +438,7 @@ def _moves(rest: FloatArray, records: Sequence[Record]) -> BoolArray:
     """(n_outputs,) True where the free run leaves more of an output than rounding."""
     left = np.nan_to_num(rest)
     size = np.nan_to_num(np.vstack([record.outputs for record in records]))
-    moves: BoolArray = np.sqrt((left**2).sum(axis=0)) > ROUND_OFF * np.sqrt((size**2).sum(axis=0))
+    moves: BoolArray = np.sqrt((left**2).sum(axis=0)) > ROUNDED * np.sqrt((size**2).sum(axis=0))
     return moves
 
 

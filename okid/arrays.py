@@ -22,7 +22,8 @@ ComplexArray = npt.NDArray[np.complex128]
 BoolArray = npt.NDArray[np.bool_]
 
 ROUNDED = 1e-9
-"""Take numbers that are closer, relative to their size, as one number that was rounded twice."""
+"""Take numbers that are closer, relative to their size, as one number that was rounded twice, and a smaller share of
+its like as zero: rounding, grown by a solve or by a text file."""
 TINY = 1e-300
 """Divide by no less than this: nothing over nothing is nothing, and no quotient of it overflows."""
 SHORTEST_STEP, LONGEST_STEP = 1e-12, 1e9

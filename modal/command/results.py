@@ -138,8 +138,6 @@ def diff(
 
 
 RECORDING = "recording.rrd"
-LONGEST = 200
-"""Shorten a path to so many letters in a sentence."""
 
 _MAGIC = (b"RRF2", b"RRF0", b"RRF1")
 """First bytes of a recording."""
@@ -155,7 +153,7 @@ def recording_of(result: str | Path) -> Path:
         UnreadableFileError: there is no such file, no recording in the folder, or it holds something else.
     """
     path = Path(result)
-    shown = repr(shorten(visible(str(path)), LONGEST))
+    shown = repr(shorten(visible(str(path)), 200))
     try:
         if path.is_dir():
             path = _in_folder(path, shown)

@@ -29,13 +29,13 @@ from modal.localisation.evidence import Location, locate
 from modal.localisation.gap import measure_gap
 from modal.localisation.levels import LevelModes, level_modes
 from modal.localisation.lines import measure_lines
-from modal.simulation import AT_FLOOR, FOLLOWED, NEAR_FLOOR, ROUNDING
+from modal.simulation import AT_FLOOR, FOLLOWED, NEAR_FLOOR
 from modal.simulation.drive import drive_of, steps_per_sample
 from modal.simulation.plant import Plant, plant_matrices
 from modal.simulation.scheme import Budget
 from modal.structure.given import Given, placed_assembly, refuse_missing_inputs
 from modal.wording.text import quantity, times_floor_text
-from okid.arrays import TINY, FloatArray
+from okid.arrays import ROUNDED, TINY, FloatArray
 from okid.errors import InsufficientDataError, InvalidDataError, NumericalError
 from okid.readers.guard import MEMORY_SHARE, memory_budget
 from okid.record import Record
@@ -232,7 +232,7 @@ def check_plant(plant: Plant, linear: FloatArray, records: Sequence[Record]) -> 
                 f"records ({0.5 / first.dt:.4g} Hz); check the time step, {first.dt:g} s"
             )
         growth = float(np.linalg.eigvals(plant_matrices(plant, linear).A).real.max())
-        if growth > SAME_NUMBER * max(1.0 / (first.dt * first.n_samples), TINY) + ROUNDING / first.dt:
+        if growth > SAME_NUMBER * max(1.0 / (first.dt * first.n_samples), TINY) + ROUNDED / first.dt:
             raise InvalidDataError(
                 f"the model is unstable (a pole with real part {growth:.3g} 1/s), so it cannot run freely; check its "
                 "signs"

@@ -202,8 +202,6 @@ COHERENT = 0.3
 """Say that a gap moves with the structure where at least this share of it follows the simulation."""
 INCOHERENT = 0.15
 """Say that it does not up to this share."""
-SAME_OFFSET = 0.5
-"""Of the largest mean gap of a record, up to which the means of the records may differ and be one offset."""
 Offset = Literal["none", "one", "several"]
 """Whether most of the gap is its mean, and whether all records have the same one."""
 LAWS = {
@@ -296,7 +294,7 @@ def _means(gap: Gap, output: int) -> list[float]:
 
 def _one_offset(means: Sequence[float]) -> bool:
     """Whether all records are off by about the same: an offset is, a law that a straight line stands in for is not."""
-    return max(means) - min(means) <= SAME_OFFSET * max(abs(mean) for mean in means)
+    return max(means) - min(means) <= MOSTLY * max(abs(mean) for mean in means)
 
 
 def _range(low: float, high: float, unit: str) -> str:

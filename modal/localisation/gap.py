@@ -23,8 +23,8 @@ import numpy.typing as npt
 import scipy
 
 from modal.localisation.bands import BandTable, CellTable, WindowTable, octave_bands, spectral_tables, window_table
-from modal.simulation import ROUNDING, SURE, UNLIKELY
-from okid.arrays import FloatArray
+from modal.simulation import SURE, UNLIKELY
+from okid.arrays import ROUNDED, FloatArray
 from okid.errors import InvalidDataError
 from okid.record import Record
 from okid.rows import as_records
@@ -484,7 +484,7 @@ def _floor(given: npt.ArrayLike, variance: FloatArray) -> FloatArray:
             "the noise floor must be finite and at least 0; give variances, in squared output units."
         )
     tiny = np.finfo(np.float64).tiny
-    result: FloatArray = np.maximum(noise, np.square(ROUNDING) * variance.mean(axis=0) + tiny)
+    result: FloatArray = np.maximum(noise, np.square(ROUNDED) * variance.mean(axis=0) + tiny)
     return result
 
 
@@ -502,7 +502,7 @@ def _check_match(measured: Sequence[Record], simulated: Sequence[Record]) -> Non
                 f"measured and simulated records need the same {what.replace('_', ' ')}, but have "
                 f"{list(getattr(one, what))} and {list(getattr(other, what))}; select or rename them."
             )
-    if abs(one.dt - other.dt) > ROUNDING * one.dt:
+    if abs(one.dt - other.dt) > ROUNDED * one.dt:
         raise InvalidDataError(
             f"measured and simulated records need the same time step, but have {one.dt:.9g} and {other.dt:.9g} s; "
             "simulate at the step of the measurement."

@@ -147,8 +147,6 @@ FREQUENCY: Final = "frequency"
 DAMPING: Final = "damping"
 PER_MODE: Final = 12
 """Count so many rows for a mode in a record: twice a value, an interval of three and what is explained, and means."""
-THIN: Final = 1.0
-"""Radius of the dots on a line that stands over others [points]."""
 
 
 class _Axis:
@@ -339,7 +337,7 @@ def _draw_frequency(pen: _Pen, path: str, mode: FollowedMode, found: FollowedMod
     pen.dots(f"{path}/1_found", times, values, name="found", colour=Palette.BLUE)
     name = "causes and level" if found.remarks else "level"
     at = f"{path}/2_explained"
-    pen.line(at, times, mode.explained[rows], name=name, colour=Palette.ORANGE, dot=THIN)
+    pen.line(at, times, mode.explained[rows], name=name, colour=Palette.ORANGE, dot=1.0)
     pen.changes(f"{path}/3_changes", _since(found, mode), mode.frequency_limits)
     pen.ends(f"{path}/4_first_or_last", mode, mode.frequency)
 

@@ -11,8 +11,6 @@ SURE = 3.0
 """Believe what differs from zero by more standard deviations than this."""
 UNLIKELY = 1e-3
 """Hold no chance responsible for what it does more rarely than this."""
-ROUNDING = 1e-9
-"""Treat as zero what is a smaller share of its like: rounding, grown by a solve or by a text file."""
 DIFFERENCE_STEP = 1e-5
 """Move a parameter by this share of its size for a central difference: near the cube root of the rounding."""
 UNDAMPED_DEVIATION = 0.02

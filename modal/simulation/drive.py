@@ -186,8 +186,6 @@ def _interpolated(u: FloatArray, factor: int) -> FloatArray:
 STEPS_PER_PERIOD = 16.0
 """Take so many steps a period of the highest resonance: a force that is a straight line over each is off by
 (2 pi / steps)^2 / 12 of itself there, 1.3 % at 16 steps."""
-MOST_STEPS = 6
-"""Take no more steps a sample."""
 
 
 def steps_per_sample(plant: Plant, linear: FloatArray, records: Sequence[Record], *, forces: bool = True) -> int:
@@ -211,4 +209,4 @@ def steps_per_sample(plant: Plant, linear: FloatArray, records: Sequence[Record]
     frequencies = np.abs(poles) / (2.0 * np.pi)
     inside = frequencies[frequencies < 0.5 / dt]
     highest = float(inside.max(initial=0.0))
-    return int(np.clip(np.ceil(wanted * highest * dt), 1, MOST_STEPS))
+    return int(np.clip(np.ceil(wanted * highest * dt), 1, 6))

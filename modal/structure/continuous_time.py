@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 import scipy
 
-from modal.simulation import ROUNDING, UNDAMPED_DEVIATION
+from modal.simulation import UNDAMPED_DEVIATION
 from modal.simulation.plant import LinearParameter
-from okid.arrays import ComplexArray, FloatArray, frozen, time_step
+from okid.arrays import ROUNDED, ComplexArray, FloatArray, frozen, time_step
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import InputHold
 
@@ -121,13 +121,13 @@ def _step(own: Any, dt: float | None) -> float | None:
 
 def _check_poles(Ad: FloatArray, dt: float) -> None:
     poles = np.linalg.eigvals(Ad)
-    n_delays = int((np.abs(poles) < ROUNDING).sum())
+    n_delays = int((np.abs(poles) < ROUNDED).sum())
     if n_delays:
         raise InvalidDataError(
             f"a continuous-time model has no discrete pole at 0, but this one has {n_delays} (a "
             "delay of whole samples, or more states than the data hold); leave them out and give a delay as an effect."
         )
-    negative = poles[(np.abs(poles.imag) <= ROUNDING * np.abs(poles)) & (poles.real < 0)]
+    negative = poles[(np.abs(poles.imag) <= ROUNDED * np.abs(poles)) & (poles.real < 0)]
     if negative.size:
         raise InvalidDataError(
             f"a continuous-time model has no discrete pole on the negative real axis, but this one has one at "
@@ -319,7 +319,7 @@ def _block_parameters(
     if len(block) == 2:
         pole = complex(matrix[first, first], np.sqrt(-matrix[first, last] * matrix[last, first]))
     size = abs(pole)
-    if size <= ROUNDING * largest:
+    if size <= ROUNDED * largest:
         return []
     pair = f"of pole pair {number} ({size / (2 * np.pi):.4g} Hz)"
     by_real = np.zeros_like(matrix)

@@ -30,11 +30,11 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from modal.simulation import ROUNDING, UNDAMPED_DEVIATION
+from modal.simulation import UNDAMPED_DEVIATION
 from modal.simulation.plant import LinearParameter
 from modal.structure.continuous_time import UNDAMPED, ContinuousSystem
 from modal.structure.structural_model import RIGID, SensorKind
-from okid.arrays import TINY, FloatArray
+from okid.arrays import ROUNDED, TINY, FloatArray
 from okid.errors import InvalidDataError
 
 _LIKE = 1e-3
@@ -117,7 +117,7 @@ def _metrics(A: FloatArray) -> FloatArray | None:
             row += 1
     product = found @ A
     apart = np.abs(product - np.swapaxes(product, 1, 2)).max(initial=0.0)
-    return found if apart <= ROUNDING * np.abs(A).max() else None
+    return found if apart <= ROUNDED * np.abs(A).max() else None
 
 
 def _equations(
@@ -149,7 +149,7 @@ def _solution(equations: FloatArray, basis: FloatArray) -> FloatArray | None:
     """The one P that solves them; None where none or more than one does."""
     _, sizes, right = np.linalg.svd(equations)
     sizes = np.concatenate([sizes, np.zeros(len(right) - len(sizes))])
-    if sizes[-1] > _LIKE * sizes[-2] or sizes[-2] <= ROUNDING * sizes[0]:
+    if sizes[-1] > _LIKE * sizes[-2] or sizes[-2] <= ROUNDED * sizes[0]:
         return None
     return np.asarray(np.tensordot(right[-1, : len(basis)], basis, axes=(0, 0)))
 
@@ -160,7 +160,7 @@ def _structure(A: FloatArray, metric: FloatArray, free: FloatArray, displacement
         for forces in _force_directions(signed, free, displacements):
             mass = forces.T @ signed @ A @ forces
             sizes = np.linalg.eigvalsh((mass + mass.T) / 2)
-            if sizes[0] > ROUNDING * sizes[-1]:
+            if sizes[0] > ROUNDED * sizes[-1]:
                 unit = np.linalg.solve(np.linalg.cholesky((mass + mass.T) / 2), forces.T).T
                 return _modes(A, signed, unit)
     return None
@@ -194,12 +194,12 @@ def _modes(A: FloatArray, metric: FloatArray, forces: FloatArray) -> Structure |
     rows = forces.T @ metric
     both = np.vstack([rows, rows @ A])
     scale = np.linalg.norm(both, axis=1)
-    if np.linalg.cond(both / scale[:, None]) * ROUNDING > 1.0:
+    if np.linalg.cond(both / scale[:, None]) * ROUNDED > 1.0:
         return None
     matrices = -np.linalg.solve(both.T, (rows @ A @ A).T).T
     stiffness, damping = matrices[:, :n_modes], matrices[:, n_modes:]
     squares, shapes = np.linalg.eigh((stiffness + stiffness.T) / 2)
-    if squares[0] <= ROUNDING * squares[-1]:
+    if squares[0] <= ROUNDED * squares[-1]:
         return None
     modal = shapes.T @ damping @ shapes
     return Structure(
@@ -306,7 +306,7 @@ def _motion(system: ContinuousSystem, output: int, kind: SensorKind, unit: str) 
 def _antiderivative(system: ContinuousSystem, row: FloatArray, direct: FloatArray) -> FloatArray | None:
     """The row r with d/dt (r x) = row x + direct u; None where an integrator leaves it open."""
     poles = np.abs(np.linalg.eigvals(system.A))
-    if poles.min() > ROUNDING * poles.max():
+    if poles.min() > ROUNDED * poles.max():
         return np.asarray(np.linalg.solve(system.A.T, row))
     # r A = row alone leaves r open along what the integrator holds; what the inputs do settles it where it can
     both = np.hstack([system.A, system.B])
@@ -324,7 +324,7 @@ def _moved_at_once(system: ContinuousSystem, row: FloatArray) -> bool:
     size = np.linalg.norm(system.B, axis=0)
     at_once = np.divide(row @ system.B, size, out=np.zeros_like(size), where=size > 0)
     poles = np.abs(np.linalg.eigvals(system.A))
-    poles = poles[poles > ROUNDING * poles.max()]
+    poles = poles[poles > ROUNDED * poles.max()]
     if poles.size == 0 or not size.any():
         return False
     span = np.geomspace(poles.min() / 10, poles.max() * 10, 400)

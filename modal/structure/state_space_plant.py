@@ -47,7 +47,6 @@ import numpy as np
 import scipy
 
 from modal.effects.catalogue import composed_unit
-from modal.simulation import ROUNDING
 from modal.simulation.plant import LinearParameter, Plant, Port, plant_matrices
 from modal.structure.continuous_time import ContinuousSystem, continuous_system, in_modal_coordinates
 from modal.structure.reciprocity import (
@@ -60,7 +59,7 @@ from modal.structure.reciprocity import (
     symmetric_changes,
 )
 from modal.structure.structural_model import RIGID, SensorKind, matched_names, sensor_kinds, tolerance
-from okid.arrays import FloatArray
+from okid.arrays import ROUNDED, FloatArray
 from okid.errors import InvalidDataError
 from okid.record import InputHold, Record, labels
 
@@ -204,7 +203,7 @@ def _opposing(free: FloatArray, driven: FloatArray) -> FloatArray | None:
 
 def _static_stiffness(A: FloatArray, motion: OutputMotion, opposing: FloatArray) -> float | None:
     """Constant force by the displacement that it gives at the place, per effective mass; k / m for one DOF."""
-    if motion.nature != "mechanical" or motion.displacement is None or np.linalg.cond(A) > 1 / ROUNDING:
+    if motion.nature != "mechanical" or motion.displacement is None or np.linalg.cond(A) > 1 / ROUNDED:
         return None
     compliance = float(motion.displacement[: len(A)] @ np.linalg.solve(A, opposing))
     return 1 / compliance if compliance > 0 else None

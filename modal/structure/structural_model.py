@@ -17,7 +17,6 @@ import scipy
 
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect
-from modal.simulation import ROUNDING
 from modal.simulation.plant import plant_matrices
 from modal.structure.model_file import KeptModel
 from modal.structure.placed import PlacedEffect, equations_of_structure, placed_effect
@@ -29,7 +28,7 @@ from modal.structure.structural_plant import (
     place_name,
     structural_plant,
 )
-from okid.arrays import ComplexArray, FloatArray, frozen, real_number
+from okid.arrays import ROUNDED, ComplexArray, FloatArray, frozen, real_number
 from okid.display import first_names
 from okid.errors import InvalidDataError
 from okid.readers.guard import MEMORY_SHARE, memory_budget
@@ -70,7 +69,7 @@ def checked_matrices(
     for matrix, name in ((K, "stiffness"), (C, "damping")):
         values = scipy.linalg.eigvalsh(matrix)
         lowest, largest = values[0], values[-1]
-        if lowest < -ROUNDING * n_dofs * max(abs(lowest), abs(largest)):
+        if lowest < -ROUNDED * n_dofs * max(abs(lowest), abs(largest)):
             raise InvalidDataError(
                 f"{name} must be positive semidefinite, or the structure is unstable, but its lowest eigenvalue is "
                 f"{lowest:.3g} beside {largest:.3g}; check its signs, or linearise about a stable position."
@@ -80,7 +79,7 @@ def checked_matrices(
 
 def _symmetric(matrix: FloatArray, name: str) -> FloatArray:
     asymmetry, size = np.abs(matrix - matrix.T).max(), np.abs(matrix).max()
-    if asymmetry > ROUNDING * size:
+    if asymmetry > ROUNDED * size:
         row, column = np.unravel_index(np.abs(matrix - matrix.T).argmax(), matrix.shape)
         raise InvalidDataError(
             f"{name} must be symmetric, but entry ({row}, {column}) is {matrix[row, column]:.6g} and ({column}, {row}) "

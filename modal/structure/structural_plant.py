@@ -26,9 +26,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy
 
-from modal.simulation import ROUNDING, UNDAMPED_DEVIATION
+from modal.simulation import UNDAMPED_DEVIATION
 from modal.simulation.plant import MASS, LinearParameter, Mass, Plant, Port
-from okid.arrays import FloatArray, real_number
+from okid.arrays import ROUNDED, FloatArray, real_number
 from okid.display import Displayed
 from okid.errors import InvalidDataError
 
@@ -138,7 +138,7 @@ def is_network(matrix: FloatArray) -> bool:
         >>> is_network(np.array([[3.0, -1.0], [-1.0, 1.0]])), is_network(np.array([[12.0, 6.0], [6.0, 4.0]]))
         (True, False)
     """
-    tolerance = ROUNDING * np.abs(matrix).max(initial=0.0)
+    tolerance = ROUNDED * np.abs(matrix).max(initial=0.0)
     off_diagonal = matrix - np.diag(np.diag(matrix))
     return bool((off_diagonal <= tolerance).all() and (matrix.sum(axis=1) >= -len(matrix) * tolerance).all())
 
@@ -205,7 +205,7 @@ def _coupling(matrix: FloatArray, ends: tuple[int, ...]) -> float:
     row = ends[0]
     value = -matrix[row, ends[1]] if len(ends) == 2 else matrix[row].sum()
     # a small element beside a large one: what counts as rounding is set by the row, not by the whole matrix
-    small = ROUNDING * np.abs(matrix[row]).max(initial=0.0)
+    small = ROUNDED * np.abs(matrix[row]).max(initial=0.0)
     return 0.0 if abs(value) <= small else float(value)
 
 
@@ -331,7 +331,7 @@ def _stiffness_changes(model: "StructuralModel") -> tuple[Change, ...]:
         )
     squares, shapes = scipy.linalg.eigh(model.stiffness, model.mass)
     weighted = model.mass @ shapes
-    flexible = [mode for mode in range(model.n_dofs) if squares[mode] > ROUNDING * squares[-1]]
+    flexible = [mode for mode in range(model.n_dofs) if squares[mode] > ROUNDED * squares[-1]]
     return tuple(
         Change(
             parameter=_within(
@@ -363,7 +363,7 @@ def _damping_changes(model: "StructuralModel") -> tuple[Change, ...]:
     weighted = model.mass @ shapes
     changes = []
     for mode in range(min(model.n_dofs, _MOST_MODES)):
-        natural = math.sqrt(squares[mode]) if squares[mode] > ROUNDING * squares[-1] else 0.0
+        natural = math.sqrt(squares[mode]) if squares[mode] > ROUNDED * squares[-1] else 0.0
         size = float(shapes[:, mode] @ model.damping @ shapes[:, mode])
         name = f"modal damping of mode {mode + 1} ({natural / (2 * np.pi):.4g} Hz)"
         parameter = _damping_parameter(name, "1/s", size, 2 * natural, model.damping_tolerance)
@@ -400,7 +400,7 @@ def _damping_parameter(
     name: str, unit: str, nominal: float, critical: float, tolerance: float
 ) -> LinearParameter | None:
     """A damping, with room to grow from zero; None where there is neither damping nor stiffness to size it by."""
-    if nominal > ROUNDING * critical:
+    if nominal > ROUNDED * critical:
         return _within(name, unit, nominal, tolerance)
     if critical == 0:
         return None

@@ -365,10 +365,6 @@ ROUNDED_WIDTH = 1.25
 """Accept rounded stamps within so many of their last digit: one, and what a clock is late."""
 
 
-MOST_STEPS = 60
-"""Give up Newton's method after so many: it ends within ten unless rounding is all that is left."""
-
-
 def date_of_stamps(stamps: FloatArray, name: str) -> tuple[float, float]:
     """Seconds in one unit of stamps without a unit, and the stamp of the start of 1970; told by the date they give.
 
@@ -473,7 +469,7 @@ def _bound(ticks: FloatArray, slope: float, width: float) -> float | None:
     """
     count = np.arange(len(ticks), dtype=np.float64)
     side, rounding = 0.0, ROUNDED * width + 4.0 * float(np.spacing(np.abs(ticks).max()))
-    for _ in range(MOST_STEPS):
+    for _ in range(60):  # it ends within ten unless rounding is all that is left
         rest = ticks - slope * count
         top, bottom = int(rest.argmax()), int(rest.argmin())
         excess = float(rest[top] - rest[bottom]) - width

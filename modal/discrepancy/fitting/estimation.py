@@ -146,8 +146,6 @@ def moved_by_reciprocals(common: FloatArray, step: FloatArray, walls: FloatArray
     return after
 
 
-TRIALS = 5
-"""Give an iteration up after so many steps, each ten times more damped than the one before."""
 STANDSTILL = 1e-4
 """End a fit after an iteration that lowers the cost by less than this share of it."""
 FAR_ABOVE = 10.0
@@ -297,7 +295,7 @@ def _better(
     gram, score = score_equations(current, problem, slopes)
     if not (np.isfinite(gram).all() and np.isfinite(score).all()):
         return None, damping  # along a motion that hardly stays within numbers no step is known
-    for trial in range(TRIALS):
+    for trial in range(5):  # each ten times more damped than the one before
         step = _step(current, gram, score, damping, free_common=problem.free_common)
         better = _trial(current, problem, slopes, step)
         if better is not None:

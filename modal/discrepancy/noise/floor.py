@@ -45,8 +45,8 @@ import scipy
 
 from modal.discrepancy.noise.spectral import FEWEST_ROWS, SpectralFloor, smallest_variance, spectral_floor
 from modal.localisation.lines import input_period, measure_lines
-from modal.simulation import ROUNDING, UNLIKELY
-from okid.arrays import FloatArray, frozen_with_gaps
+from modal.simulation import UNLIKELY
+from okid.arrays import ROUNDED, FloatArray, frozen_with_gaps
 from okid.display import Displayed
 from okid.errors import InvalidDataError
 from okid.record import Record
@@ -238,7 +238,7 @@ def _copies(one: Record, other: Record) -> bool:
     a, b = one.outputs[:n_rows], other.outputs[:n_rows]
     both = ~(np.isnan(a) | np.isnan(b))
     size = np.where(both, np.abs(a), 0.0).max(axis=0)
-    return bool((np.where(both, np.abs(a - b), 0.0) <= ROUNDING * size).all())
+    return bool((np.where(both, np.abs(a - b), 0.0) <= ROUNDED * size).all())
 
 
 FloorMethod = Literal["repeated records", "repeated periods", "quiet band", "incoherent part"]

@@ -29,8 +29,8 @@ import numpy as np
 import scipy
 
 from modal.localisation.lines import FALSE_ALARM
-from modal.simulation import ROUNDING, SURE
-from okid.arrays import BoolArray, ComplexArray, FloatArray
+from modal.simulation import SURE
+from okid.arrays import ROUNDED, BoolArray, ComplexArray, FloatArray
 
 _DEGREE = 2
 """Fit polynomials of this degree in a window."""
@@ -252,7 +252,7 @@ def _standard_error(spectrum: ResidualSpectrum, weight: FloatArray) -> float:
     tail = 1.0 / (4.0 * np.sin(np.pi * middle) ** 2)
     own, cross, square = weight.sum(), weight @ tail, weight @ tail**2
     known = own * square - cross**2
-    if known <= ROUNDING * own * square:
+    if known <= ROUNDED * own * square:
         return UNKNOWN
     return float(min(UNKNOWN, np.sqrt(square / known / spectrum.freedom)))
 

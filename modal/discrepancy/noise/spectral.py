@@ -23,10 +23,10 @@ from modal.discrepancy.noise.quiet_band import (
     residual_spectrum,
     steady_level,
 )
-from modal.simulation import ROUNDING
 from modal.simulation.scheme import Scheme
-from okid.arrays import TINY, BoolArray, FloatArray
+from okid.arrays import ROUNDED, TINY, BoolArray, FloatArray
 from okid.record import Record
+from okid.residuals import WHITENESS_LAGS
 from okid.rows import runs_of
 
 _LONGEST_GAP = 6
@@ -105,7 +105,7 @@ def _neighbourhoods(channels: FloatArray, reach: int) -> FloatArray:
 def _foretold(rows: FloatArray, whole: FloatArray, centre: int) -> FloatArray:
     """The centre of each row from what is known of it, by the second moments of whole rows."""
     gram = whole.T @ whole
-    gram[np.diag_indices_from(gram)] += ROUNDING * np.trace(gram) / len(gram)
+    gram[np.diag_indices_from(gram)] += ROUNDED * np.trace(gram) / len(gram)
     known = ~np.isnan(rows)
     result = np.zeros(len(rows))
     for pattern in np.unique(known, axis=0):
@@ -125,8 +125,6 @@ _BURSTS_ERROR = 0.5
 """Give a level among bursts at least this relative error: how much of them lies below the limit is not known."""
 _ROUNDED = 0.1
 """Look for no bursts where quantisation is more than this share of the level: it makes its own."""
-_DIFFERENCES = 4
-"""Guess a floor from differences of this order."""
 _REGULAR = 0.05
 """Call an output quantised where all steps lie this near to multiples of the smallest."""
 
@@ -293,7 +291,7 @@ def _level(band: QuietBand, steady: SteadyLevel | None, dt: float, missing: floa
 def _guess(values: FloatArray) -> _Level:
     """From differences of what is there, gaps or not, over those of white noise; too much rather than too little."""
     there = values[~np.isnan(values)]
-    order = min(_DIFFERENCES, there.size - 1)
+    order = min(4, there.size - 1)
     # the sum of squares of the coefficients of a difference of order n is the binomial coefficient (2n, n)
     differences = np.diff(there, order)
     return _Level(
@@ -306,8 +304,6 @@ def _guess(values: FloatArray) -> _Level:
 
 MOST_ORDER = 4
 """Filter the residual by an autoregression of at most this order: more would take up the lack of fit itself."""
-N_LAGS = 20
-"""Test the correlation that is left over so many lags, as Ljung and Box do."""
 
 
 def filter_by(taps: FloatArray, values: FloatArray) -> FloatArray:
@@ -327,7 +323,7 @@ def whitening_filter(residual: FloatArray, present: BoolArray) -> tuple[FloatArr
         lagged[lag, lag:], reach[lag, lag:] = residual[: n - lag], present[: n - lag]
     whole = reach.all(axis=0)
     best, taps, order = np.inf, np.array([1.0]), 0
-    if 2 * whole.sum() >= present.sum() > 0 and whole.sum() > N_LAGS:
+    if 2 * whole.sum() >= present.sum() > 0 and whole.sum() > WHITENESS_LAGS:
         for p in range(MOST_ORDER + 1):
             weights = np.linalg.lstsq(lagged[1 : p + 1, whole].T, lagged[0, whole], rcond=None)[0]
             error = lagged[0, whole] - weights @ lagged[1 : p + 1, whole]
@@ -386,7 +382,7 @@ def lead_of_forces(left: FloatArray, taps: Sequence[FloatArray], scheme: Scheme,
 def rings(poles: npt.NDArray[Any]) -> BoolArray:
     """Which discrete poles swing up and down lightly damped."""
     rates = np.log(np.where(poles == 0.0, TINY, poles).astype(complex))
-    swinging = (np.abs(rates.imag) > ROUNDING) & (np.abs(rates.imag) < 0.5 * np.pi)
+    swinging = (np.abs(rates.imag) > ROUNDED) & (np.abs(rates.imag) < 0.5 * np.pi)
     return np.asarray(swinging & (-rates.real < RINGS * np.abs(rates)))
 
 

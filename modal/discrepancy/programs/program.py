@@ -33,13 +33,12 @@ from modal.discrepancy.noise.floor import SAME_NUMBER
 from modal.effects.catalogue import CATALOGUE
 from modal.effects.effect import Effect, InputEffect, SensorEffect, is_sharp
 from modal.localisation.gap import SAME_LEVEL
-from modal.simulation import ROUNDING
 from modal.simulation.assembly import drive_inputs
 from modal.simulation.drive import drive_of, steps_per_sample
 from modal.simulation.trajectory import SHARP
 from modal.structure.given import PlantModel, placed_assembly
 from modal.structure.placed import PlacedEffect, equations_of_plant
-from okid.arrays import FloatArray
+from okid.arrays import ROUNDED, FloatArray
 from okid.errors import IdentificationError, IdentificationWarning, InvalidDataError, NumericalError
 from okid.markov import recover_markov
 from okid.observer import ObserverFit, fit_observer
@@ -110,7 +109,7 @@ def check_deterministic(simulator: Simulator, record: Record, known: FloatArray)
     """
     again = run_callable(simulator, record).outputs
     difference, size = float(np.abs(again - known).max()), float(np.abs(known).max())
-    if difference > ROUNDING * size:
+    if difference > ROUNDED * size:
         raise InvalidDataError(
             f"the callable must return the same outputs each time, but two runs along {_named(record)} differ by "
             f"{difference:.3g} (largest output {size:.3g}); leave out simulated noise, or seed it in the callable."
@@ -134,8 +133,6 @@ OBSERVER_ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
 """Try these observer orders, the smallest first."""
 THRESHOLDS = (1e-2, 1e-3, 1e-4, 1e-6, 1e-8, 1e-10)
 """Leave out Hankel singular values below these shares of the largest, one model each."""
-N_LAGS = 120
-"""Realise from so many Markov parameters."""
 MOST_STATES = 30
 """Try no model of more states than this."""
 EXACT = 1e-6
@@ -144,8 +141,6 @@ AS_GOOD = 1.5
 """Prefer a smaller model to one whose free run misses by less than this factor less."""
 STABLE = 1.0 + 1e-7
 """Reject a model with a pole beyond this radius."""
-PROBE_SAMPLES = 4000
-"""Probe a callable along so many samples at most."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -271,7 +266,7 @@ def _observers(runs: Sequence[Record]) -> Iterator[tuple[ObserverFit, bool]]:
 def _realisations(observer: ObserverFit) -> Iterator[Realisation]:
     """Models of several orders by the Hankel singular values, from small to large."""
     try:
-        found = decompose(recover_markov(observer, n_lags=max(N_LAGS, 4 * observer.order)))
+        found = decompose(recover_markov(observer, n_lags=max(120, 4 * observer.order)))
     except IdentificationError:
         return
     values, highest = found.singular_values, min(found.rank, found.max_order, MOST_STATES)
@@ -288,7 +283,7 @@ def _realisations(observer: ObserverFit) -> Iterator[Realisation]:
 def _probe(quiet: Record) -> Record:
     """White noise of the size of a record's inputs about their means."""
     rng = np.random.default_rng(0)
-    n_samples = max(min(quiet.n_samples, PROBE_SAMPLES), 400)
+    n_samples = max(min(quiet.n_samples, 4000), 400)
     mean, spread = np.nanmean(quiet.inputs, axis=0), np.nanstd(quiet.inputs, axis=0)
     largest = float(spread.max(initial=0.0))
     spread = np.where(spread > 0.0, spread, largest or 1.0)

@@ -26,9 +26,6 @@ from okid.markov import recover_markov
 from okid.observer import fit_observer
 from okid.record import Record
 
-MOST_STATES = 12
-"""Model what is left by no more states than this."""
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ResidualModel:
@@ -141,7 +138,7 @@ def _candidates(fit: Sequence[Record]) -> list[Realisation]:
             found = decompose(recover_markov(observer, n_lags=choice.n_lags))
         except IdentificationError:
             return []
-    highest = min(found.rank, found.max_order, MOST_STATES)
+    highest = min(found.rank, found.max_order, 12)
     orders = {min(order_choice(found).order, highest), *range(1, highest + 1)}
     models = [realise_from(found, order) for order in sorted(orders)]
     return [model for model in models if np.abs(np.linalg.eigvals(model.A)).max(initial=0.0) < 1.0]

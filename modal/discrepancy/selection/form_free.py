@@ -22,10 +22,10 @@ from modal.discrepancy.noise.spectral import log_chi_square_tail
 from modal.discrepancy.selection.beam import expand
 from modal.discrepancy.selection.lack_of_fit import lack_of_fit, what_is_left
 from modal.effects.smooth_law import N_POINTS, SmoothLaw
-from modal.simulation import ROUNDING, UNLIKELY, explained
+from modal.simulation import UNLIKELY, explained
 from modal.simulation.assembly import Unknowns
 from modal.simulation.scheme import Budget
-from okid.arrays import TINY, FloatArray
+from okid.arrays import ROUNDED, TINY, FloatArray
 
 MOST_WORK = 5e7
 """End the search for curves beside one model after so much work, about ten CPU seconds."""
@@ -165,7 +165,7 @@ def _without(
         return np.zeros(len(common)), True
     crossed = bends @ spread[own]
     size = np.sqrt(np.maximum(np.einsum("nj,nj->n", crossed[:, own], bends), TINY))
-    inverse = scipy.linalg.pinvh(crossed[:, own] @ bends.T / np.outer(size, size), rtol=ROUNDING)
+    inverse = scipy.linalg.pinvh(crossed[:, own] @ bends.T / np.outer(size, size), rtol=ROUNDED)
     found = bends @ common[own] / size
     lack = float(found @ inverse @ found)
     step = -(crossed / size[:, np.newaxis]).T @ (inverse @ found)

@@ -38,7 +38,6 @@ from modal.discrepancy.fitting.nodes import Node, Task
 from modal.discrepancy.fitting.observed_fits import CLEAR
 from modal.discrepancy.noise.spectral import (
     MOST_ORDER,
-    N_LAGS,
     colours_of,
     filter_by,
     log_chi_square_tail,
@@ -49,13 +48,14 @@ from modal.discrepancy.results import Follows, LackOfFit, ResidualKind, beyond_n
 from modal.discrepancy.selection.smaller_models import run_without
 from modal.effects.catalogue import effects_at
 from modal.effects.effect import ForceEffect, is_sharp
-from modal.simulation import ROUNDING, SLIGHT
+from modal.simulation import SLIGHT
 from modal.simulation.assembly import EffectPlacement
 from modal.simulation.drive import Drive
 from modal.simulation.plant import Port
 from modal.simulation.trajectory import Source, force_response, respond, sensitivity
 from modal.wording.text import NINETY_FIVE, number, percent
-from okid.arrays import TINY, BoolArray, FloatArray
+from okid.arrays import ROUNDED, TINY, BoolArray, FloatArray
+from okid.residuals import WHITENESS_LAGS
 
 N_SPLINES = 7
 """Give the form-free law of a motion so many cubic splines, four intervals: what is left is smooth, or the test of the
@@ -154,7 +154,7 @@ class _Left:
         """
         gram, plain, score = self.reduced(columns)
         size = np.sqrt(np.maximum(np.diag(plain), TINY))
-        metric = plain / np.outer(size, size) + ROUNDING * np.eye(len(size))
+        metric = plain / np.outer(size, size) + ROUNDED * np.eye(len(size))
         if not (np.isfinite(gram).all() and np.isfinite(score).all()):
             return 0.0, 0.0, 0
         share, directions = scipy.linalg.eigh(gram / np.outer(size, size), metric)
@@ -170,7 +170,7 @@ class _Left:
     def weight(self, columns: Sequence[FloatArray], held: Sequence[int]) -> float:
         """Square of one response, the common unknowns but those `held` free to make up for it; 0 where they do."""
         left, whole, _ = self.reduced(columns, held=held)
-        return float(left[0, 0]) if left[0, 0] > ROUNDING * whole[0, 0] else 0.0
+        return float(left[0, 0]) if left[0, 0] > ROUNDED * whole[0, 0] else 0.0
 
     def reduced(
         self, columns: Sequence[FloatArray], *, held: Sequence[int] = ()
@@ -196,7 +196,7 @@ class _Left:
 def _inverse(gram: FloatArray) -> tuple[FloatArray, int]:
     """Inverse and rank of a Gram matrix, by columns of size 1."""
     size = np.sqrt(np.maximum(np.diag(gram), TINY))
-    inverse, rank = scipy.linalg.pinvh(gram / np.outer(size, size), rtol=ROUNDING, return_rank=True)
+    inverse, rank = scipy.linalg.pinvh(gram / np.outer(size, size), rtol=ROUNDED, return_rank=True)
     return np.asarray(inverse / np.outer(size, size)), int(rank)
 
 
@@ -301,7 +301,7 @@ def _basis(rows: FloatArray) -> FloatArray:
     """(n, rank) orthonormal, of the space of rows (n_rows, n)."""
     size = np.sqrt(np.sum(rows**2, axis=1))
     basis, sizes, _ = np.linalg.svd((rows / np.maximum(size, TINY)[:, None]).T, full_matrices=False)
-    return np.asarray(basis[:, sizes > ROUNDING * max(float(sizes.max(initial=0.0)), TINY)])
+    return np.asarray(basis[:, sizes > ROUNDED * max(float(sizes.max(initial=0.0)), TINY)])
 
 
 Sources = list[list[Source]]
@@ -360,7 +360,7 @@ def _motion(run: Estimate, port: Port) -> tuple[FloatArray, FloatArray, FloatArr
 def _splines(motion: FloatArray, every: FloatArray) -> FloatArray:
     """(n_splines, n) cubic splines over the range of a motion; nothing where it rests."""
     low, high = float(every.min()), float(every.max())
-    if not high - low > ROUNDING * max(abs(low), abs(high)):
+    if not high - low > ROUNDED * max(abs(low), abs(high)):
         return np.zeros((0, len(motion)))
     knots = np.concatenate([[low] * 3, np.linspace(low, high, N_SPLINES - 2), [high] * 3])
     at = np.clip(motion, low, np.nextafter(high, low))
@@ -428,17 +428,17 @@ def _correlations(left: _Left) -> list[tuple[ResidualKind, str, float, float, Fo
             inputs = drive.sample[drive.rows[one.rows]].T
             for output, (taps, series) in enumerate(zip(one.filters, one.series(left.step), strict=True)):
                 count = int(one.valid[output].sum())
-                if count <= 2 * N_LAGS:
+                if count <= 2 * WHITENESS_LAGS:
                     continue
                 for name, signal in zip(plant.input_names, inputs, strict=True):
                     found.append(("input", name, *_late(series, filter_by(taps, signal)), ""))
                 if not one.held_out:
                     continue
                 total = max(float(series @ series), TINY)
-                sizes = [count - lag for lag in range(1, N_LAGS + 1)]
-                shares = [float(series[lag:] @ series[:-lag]) / total for lag in range(1, N_LAGS + 1)]
+                sizes = [count - lag for lag in range(1, WHITENESS_LAGS + 1)]
+                shares = [float(series[lag:] @ series[:-lag]) / total for lag in range(1, WHITENESS_LAGS + 1)]
                 q = count * (count + 2) * sum(r * r / m for r, m in zip(shares, sizes, strict=True))
-                log_p = log_chi_square_tail(q, N_LAGS - (len(taps) - 1))
+                log_p = log_chi_square_tail(q, WHITENESS_LAGS - (len(taps) - 1))
                 found.append(("output", plant.output_names[output], log_p, q, "past"))
     return found
 
@@ -470,7 +470,7 @@ def _late(white: FloatArray, signal: FloatArray) -> tuple[float, float]:
     n, n_delays = len(white), len(white) // 2
     seen = np.fft.irfft(np.fft.rfft(white, 2 * n) * np.fft.rfft(signal, 2 * n).conj(), 2 * n)[:n_delays]
     energy = np.cumsum(signal**2)[::-1][:n_delays]  # of what has arrived
-    fall = float(np.max(seen**2 / np.maximum(energy, TINY + ROUNDING * energy[0])))
+    fall = float(np.max(seen**2 / np.maximum(energy, TINY + ROUNDED * energy[0])))
     return min(float(np.log(2.0 * n_delays) + scipy.special.log_ndtr(-np.sqrt(fall))), 0.0), fall
 
 

@@ -19,14 +19,13 @@ import scipy
 
 from modal.discrepancy.fitting.estimation import Estimate, Problem, weights_along
 from modal.effects.effect import Effect, ForceEffect, InputEffect, Motion, SensorEffect, Situation, Values
-from modal.simulation import ROUNDING
 from modal.simulation.assembly import Assembly, EffectPlacement, Unknowns, drive_inputs, initial_unknowns, place_effect
 from modal.simulation.drive import Drive, IndexArray
 from modal.simulation.forces import motion_at
 from modal.simulation.scheme import Recursion
 from modal.simulation.trajectory import Source, force_response, respond, sensitivity
 from modal.structure.placed import possible_places
-from okid.arrays import TINY, BoolArray, FloatArray
+from okid.arrays import ROUNDED, TINY, BoolArray, FloatArray
 from okid.display import Displayed
 
 TRIES, MISS = 40, 1e-6
@@ -399,7 +398,7 @@ def _score(
     ):
         return None
     scaled = gram / np.outer(size, size)
-    scaled[np.diag_indices_from(scaled)] += ROUNDING
+    scaled[np.diag_indices_from(scaled)] += ROUNDED
     weights = np.linalg.solve(scaled, score / size) / size
     signed = weights if signs == "free" else _signed(trial, weights, gram, score, local=local)
     if signed is None:

@@ -264,10 +264,6 @@ def simple_first(items: Sequence[T], law: Callable[[T], Law], near: Callable[[T,
     return ordered
 
 
-LONGEST = 60
-"""End the fit of a gain after so many iterations."""
-
-
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class AbsorbedGain:
     """A gain that explains a calibration.
@@ -345,7 +341,7 @@ def _with_gain(root: Node, alone: Estimate | None, key: str, where: str, task: T
 
 def _settled(start: Estimate, task: Task) -> Estimate:
     """Fitted until an iteration gains less than 1: the valley of the internal forces is long and flat."""
-    return estimate(start, task.fit, iterations=LONGEST, standstill=1.0 / max(start.cost, 1.0))
+    return estimate(start, task.fit, iterations=60, standstill=1.0 / max(start.cost, 1.0))
 
 
 GAINS = frozenset({"input_gain", "sensor_gain"})

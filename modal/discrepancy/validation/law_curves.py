@@ -48,19 +48,17 @@ from modal.discrepancy.validation.law_points import (
 )
 from modal.effects.effect import ForceEffect, InputEffect, SensorEffect, is_form_free
 from modal.effects.smooth_law import SmoothLaw
-from modal.simulation import ROUNDING, SLIGHT
+from modal.simulation import SLIGHT
 from modal.simulation.assembly import EffectPlacement, drive_inputs
 from modal.simulation.drive import Drive
 from modal.simulation.forces import motion_at
 from modal.simulation.plant import Plant, Port
 from modal.simulation.trajectory import Source
 from modal.wording.text import NINETY_FIVE
-from okid.arrays import FloatArray
+from okid.arrays import ROUNDED, FloatArray
 
 N_GRID = 201
 """Draw a law at so many points."""
-LONGEST_LOOP = 400
-"""Draw a loop along at most so many samples."""
 LawAt = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 """The law at values of its motion (n,), and its derivative (n, p) by the parameters that all records share."""
 Points = Callable[[FloatArray], tuple[FloatArray, FloatArray] | None]
@@ -186,7 +184,7 @@ def whole_reach(slope: FloatArray, spread: FloatArray) -> float:
     sizes, axes = np.linalg.eigh(spread)
     path = slope @ axes * np.sqrt(np.maximum(sizes, 0.0))
     length = np.sqrt(np.sum(path**2, axis=1))
-    path = path[length > ROUNDING * length.max(initial=0.0)]
+    path = path[length > ROUNDED * length.max(initial=0.0)]
     path /= np.sqrt(np.sum(path**2, axis=1))[:, np.newaxis]
     turned = np.arccos(np.clip(np.abs(np.sum(path[1:] * path[:-1], axis=1)), 0.0, 1.0)).sum()
     reach = np.linspace(NINETY_FIVE, 12.0, 10_001)
@@ -198,7 +196,7 @@ def _loop(motion: FloatArray, force: FloatArray, drive: Drive) -> tuple[FloatArr
     """Motion and force (n_times,) along the stretch of the loudest record to show: about its largest motion."""
     record = int(np.argmax([drive.level[drive.firsts[r]] for r in range(drive.n_records)]))
     rows = drive.rows[drive.rows_of(record)]
-    length = min(LONGEST_LOOP, len(rows))
+    length = min(400, len(rows))
     middle = int(np.argmax(np.abs(motion[rows])))
     first = min(max(middle - length // 2, 0), len(rows) - length)
     shown = rows[first : first + length]
@@ -235,7 +233,7 @@ def _of_the_moment(effect: InputEffect, values: list[float], grid: FloatArray, d
     """Whether each value after the effect depends on the value before it alone."""
     forward = effect.apply(values, grid, grid, dt)[0]
     backward = effect.apply(values, grid[::-1], grid[::-1], dt)[0][::-1]
-    return bool(np.allclose(forward, backward, rtol=ROUNDING, atol=1e-12 * float(np.abs(grid).max())))
+    return bool(np.allclose(forward, backward, rtol=ROUNDED, atol=1e-12 * float(np.abs(grid).max())))
 
 
 def _sensor_curve(task: _LawTask, effect: SensorEffect) -> LawCurve:

@@ -44,11 +44,11 @@ from modal.discrepancy.fitting.estimation import (
 )
 from modal.discrepancy.selection.lack_of_fit import INDISTINCT
 from modal.effects.effect import Force, ForceEffect, Motion, ParameterKind, Values
-from modal.simulation import DIFFERENCE_STEP, ROUNDING
+from modal.simulation import DIFFERENCE_STEP
 from modal.simulation.assembly import EffectPlacement, Unknowns, drive_inputs
 from modal.simulation.drive import Drive
 from modal.simulation.trajectory import Sensitivity, Source, respond, sensitivity
-from okid.arrays import TINY, FloatArray
+from okid.arrays import ROUNDED, TINY, FloatArray
 
 IndexArray = npt.NDArray[np.intp]
 
@@ -126,7 +126,7 @@ def bins_of(motion: FloatArray, *, n_bins: int = N_BINS, period: float = 0.0) ->
     if period > 0.0:
         return Bins(knots=np.arange(n_bins) * period / n_bins, period=period)
     low, high = float(motion.min(initial=np.inf)), float(motion.max(initial=-np.inf))
-    if not high > low or (high - low) <= ROUNDING * max(abs(low), abs(high)):
+    if not high > low or (high - low) <= ROUNDED * max(abs(low), abs(high)):
         return None
     shares = np.linspace(0.0, 1.0, n_bins)
     return Bins(knots=0.5 * (np.quantile(motion, shares) + low + shares * (high - low)))
@@ -180,7 +180,7 @@ def told_by(gram: FloatArray, score: FloatArray, bins: IndexArray, others: Index
     inverse = scipy.linalg.pinvh(scaled[np.ix_(others, others)])
     cross = scaled[np.ix_(bins, others)]
     left = scaled[np.ix_(bins, bins)] - cross @ inverse @ cross.T
-    metric = scaled[np.ix_(bins, bins)] + ROUNDING * np.eye(len(bins))
+    metric = scaled[np.ix_(bins, bins)] + ROUNDED * np.eye(len(bins))
     share, directions = scipy.linalg.eigh(left, metric)
     told = share >= INDISTINCT
     share, directions = share[told], directions[:, told]
@@ -308,10 +308,6 @@ def _source(fitted: Estimate, start: FloatArray, end: FloatArray, sample: FloatA
     return Source(flow=flow, outputs=outputs)
 
 
-LOADING_STEPS = 60
-"""Load a law with memory from rest to either side in so many steps."""
-
-
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Reading:
     """What a force law is drawn against.
@@ -355,9 +351,9 @@ def reading_of(item: EffectPlacement, effect: ForceEffect, values: Values) -> Re
     at = replace(still_motion(item, n), displacement=np.full(n, d), velocity=np.full(n, v))
     later = replace(at, time=np.linspace(0.0, 1.0, n) ** 2 * 7.3)
     then = effect.force(values, later).value
-    if effect.n_memory == 0 and not np.allclose(then, effect.force(values, at).value, rtol=ROUNDING, atol=0.0):
+    if effect.n_memory == 0 and not np.allclose(then, effect.force(values, at).value, rtol=ROUNDED, atol=0.0):
         at_rest = effect.force(values, replace(later, displacement=np.zeros(n))).value
-        scaled = not np.allclose(then, at_rest, rtol=ROUNDING, atol=0.0)
+        scaled = not np.allclose(then, at_rest, rtol=ROUNDED, atol=0.0)
         rates = [j for j, kind in enumerate(effect.parameters) if kind.dimension == (0, 0, -1)]
         rate = float(np.mean(values[rates[0]])) if rates else 0.0
         return Reading(
@@ -396,7 +392,7 @@ def loaded_law(
     moves = np.repeat(np.diag(steps), 2, axis=0) * np.tile([1.0, -1.0], len(given))[:, None]
     trials = given + np.concatenate([np.zeros((1, len(given))), moves])
     reach = np.array([float(grid.min()), float(grid.max())])
-    paths = np.linspace(0.0, 1.0, LOADING_STEPS + 1)[:, None] * reach
+    paths = np.linspace(0.0, 1.0, 61)[:, None] * reach
     displacement = np.tile(paths, (1, len(trials)))
     parameters = list(np.repeat(trials, 2, axis=0).T)
     at = still_motion(item, displacement.shape[1])
@@ -415,8 +411,6 @@ def loaded_law(
     return law[0], ((law[1::2] - law[2::2]) / (2.0 * steps[:, None])).T
 
 
-STEPS = 4
-"""Fit the bins in at most so many steps."""
 WORTH = 0.02
 """Simulate a step that takes away more than this share of the squares that are left."""
 
@@ -497,7 +491,7 @@ def binned_force(
     first = current.assembly.common_of(added_to).start
     where = first + np.arange(len(bins.knots))
     others = unknowns_but(current, [placement, added_to])
-    for _ in range(STEPS - 1):
+    for _ in range(3):
         slopes = derivatives(current, problem)
         told = told_by(*score_equations(current, problem, slopes), where, others)
         if told.fall <= WORTH * current.squares:
