@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import scipy
 import systems
+from containers import markov_parameters
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from systems import chain_matrices, markov, modal_system, pole_distance, pulse_response, random_system, structure
@@ -13,10 +14,6 @@ from okid.errors import InsufficientDataError, InvalidDataError
 from okid.markov import MarkovParameters, recover_markov
 from okid.observer import fit_observer
 from okid.record import Record
-
-
-def parameters_of(system, n_lags=80, **extra):
-    return MarkovParameters(system=markov(system, n_lags), dt=system.dt, **extra)
 
 
 def textbook_era(h, a, b, order):
@@ -38,7 +35,7 @@ def test_noise_free_systems_are_exact(method, n_inputs, n_outputs, n_real):
     for seed in range(4):
         rng = np.random.default_rng(seed)
         system = random_system(rng, n_inputs=n_inputs, n_outputs=n_outputs, n_real_poles=n_real)
-        model = realise(parameters_of(system), method=method)
+        model = realise(markov_parameters(system), method=method)
         assert model.order == system.order
         assert pole_distance(np.linalg.eigvals(system.A), np.linalg.eigvals(model.A)) < 1e-10
         truth = markov(system, 160)  # twice as far as the data reached
@@ -50,7 +47,7 @@ def test_noise_free_systems_are_exact(method, n_inputs, n_outputs, n_real):
 )
 def test_close_modes_are_told_apart(way, second, n_lags, atol):
     system = modal_system(np.random.default_rng(1), frequencies=[5.0, second], damping_ratios=[0.01, 0.01], n_outputs=2)
-    model = way(parameters_of(system, n_lags), order=4)
+    model = way(markov_parameters(system, n_lags), order=4)
     assert pole_distance(np.linalg.eigvals(system.A), np.linalg.eigvals(model.A)) < atol
 
 
@@ -74,7 +71,7 @@ def test_shear_frame_of_the_koma_package():
     frame = structure(
         mass, damping, stiffness, force_dofs=[0, 2], sensor_dofs=range(5), sensor_kinds="acceleration", dt=0.1
     )
-    model = realise(parameters_of(frame, 200))
+    model = realise(markov_parameters(frame, 200))
     poles = np.log(np.linalg.eigvals(model.A).astype(complex)) / 0.1
     frequencies = np.sort(np.abs(poles[poles.imag > 0])) / (2 * np.pi)
     np.testing.assert_allclose(frequencies, [0.1812, 0.5289, 0.8338, 1.0711, 1.2217], atol=5e-5)
@@ -114,7 +111,7 @@ def test_lower_orders_are_corners_of_one_decomposition():
 def test_factors_rebuild_the_scaled_hankel_matrix():
     system = random_system(np.random.default_rng(3))
     scales = {"input_scale": np.array([2.0, 30.0]), "output_scale": np.array([0.1, 1.0, 50.0])}
-    parameters = parameters_of(system, 30, **scales)
+    parameters = markov_parameters(system, 30, **scales)
     factors = realise(parameters, order=6, n_block_rows=10, n_block_columns=15).factors
     h = parameters.system * scales["input_scale"] / scales["output_scale"][:, None]
     whole = np.vstack([np.hstack([h[1 + i + j] for j in range(15)]) for i in range(10)])
@@ -190,7 +187,7 @@ def test_gain_of_a_riccati_predictor_is_recovered():
     powers = [np.linalg.matrix_power(system.A, k) for k in range(80)]
     g = np.array([np.eye(3)] + [system.C @ power @ K for power in powers])
     scales = {"input_scale": [3.0, 0.2], "output_scale": [0.5, 1.0, 7.0]}
-    parameters = parameters_of(system, gain=g, **scales)
+    parameters = markov_parameters(system, gain=g, **scales)
     for choice in ("system", "system_and_gain"):
         model = realise(parameters, order=6, realise_on=choice)
         found = np.array([model.C @ np.linalg.matrix_power(model.A, k) @ model.K for k in range(40)])
@@ -206,7 +203,7 @@ def test_gain_of_a_riccati_predictor_is_recovered():
 
 
 def test_without_a_gain_there_is_no_k():
-    assert realise(parameters_of(random_system(np.random.default_rng(0)))).K is None
+    assert realise(markov_parameters(random_system(np.random.default_rng(0)))).K is None
 
 
 @pytest.mark.parametrize("way", [realise, realise_data_correlation])
@@ -217,7 +214,7 @@ def test_pure_feedthrough_is_a_model_of_order_zero(way):
 
 
 def test_an_order_above_the_rank_is_an_error_with_numbers():
-    parameters = parameters_of(random_system(np.random.default_rng(0)))
+    parameters = markov_parameters(random_system(np.random.default_rng(0)))
     for method in ("full", "randomised"):
         with pytest.raises(InsufficientDataError, match=r"model order 8 .* numerical rank 6 .* at most 6") as told:
             realise(parameters, order=8, method=method)
@@ -227,7 +224,7 @@ def test_an_order_above_the_rank_is_an_error_with_numbers():
 
 def test_too_few_lags_for_the_order_is_an_error_with_numbers():
     with pytest.raises(InsufficientDataError, match=r"order 40 .* make .* from 0 to 1\d"):
-        realise(parameters_of(random_system(np.random.default_rng(0)), 12), order=40)
+        realise(markov_parameters(random_system(np.random.default_rng(0)), 12), order=40)
 
 
 @pytest.mark.parametrize(
@@ -246,7 +243,7 @@ def test_too_few_lags_for_the_order_is_an_error_with_numbers():
 )
 def test_wrong_options_are_errors(options, words):
     with pytest.raises(InvalidDataError, match=words):
-        realise(parameters_of(random_system(np.random.default_rng(0))), **options)
+        realise(markov_parameters(random_system(np.random.default_rng(0))), **options)
 
 
 def test_a_decomposition_of_few_orders_says_how_to_get_more():
@@ -257,7 +254,7 @@ def test_a_decomposition_of_few_orders_says_how_to_get_more():
 
 
 def test_arrays_of_a_decomposition_are_frozen():
-    found = decompose(parameters_of(random_system(np.random.default_rng(0))))
+    found = decompose(markov_parameters(random_system(np.random.default_rng(0))))
     with pytest.raises(ValueError, match="read-only"):
         found.left[0, 0] = 1.0
 

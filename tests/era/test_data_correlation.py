@@ -2,16 +2,13 @@
 
 import numpy as np
 import pytest
+from containers import markov_parameters
 from systems import markov, modal_system, pole_distance, pulse_response, random_system
 
 from era.balanced import realise, realise_data_correlation
 from modal.modes.extraction import extract_modes
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.markov import MarkovParameters
-
-
-def parameters_of(system, n_lags=80, **extra):
-    return MarkovParameters(system=markov(system, n_lags), dt=system.dt, **extra)
 
 
 def correlation(h, k, a, b):
@@ -42,7 +39,7 @@ def test_noise_free_systems_are_exact(n_inputs, n_outputs, n_real, sizes):
     for seed in range(3):
         rng = np.random.default_rng(seed)
         system = random_system(rng, n_inputs=n_inputs, n_outputs=n_outputs, n_real_poles=n_real)
-        model = realise_data_correlation(parameters_of(system), **sizes)
+        model = realise_data_correlation(markov_parameters(system), **sizes)
         assert model.order == system.order
         assert pole_distance(np.linalg.eigvals(system.A), np.linalg.eigvals(model.A)) < 1e-10
         truth = markov(system, 160)  # twice as far as the data reached: B belongs to lag 1, not to the first lag
@@ -52,7 +49,7 @@ def test_noise_free_systems_are_exact(n_inputs, n_outputs, n_real, sizes):
 @pytest.mark.parametrize("first_lag", [0, 1, 7])
 def test_no_first_lag_turns_b(first_lag):
     system = random_system(np.random.default_rng(4))
-    model = realise_data_correlation(parameters_of(system), first_lag=first_lag)
+    model = realise_data_correlation(markov_parameters(system), first_lag=first_lag)
     truth = markov(system, 40)
     np.testing.assert_allclose(pulse_response(model, 40), truth, atol=1e-10 * np.abs(truth).max())
 
@@ -140,8 +137,8 @@ def test_the_end_of_an_observer_is_not_taken_for_the_order():
     system = modal_system(
         np.random.default_rng(3), frequencies=[4, 9, 20], damping_ratios=[0.02] * 3, mode_sizes=[1, 1e-3, 1e-3]
     )
-    assert realise_data_correlation(parameters_of(system)).order == 6
-    assert realise_data_correlation(parameters_of(system, observer_order=2)).order == 2
+    assert realise_data_correlation(markov_parameters(system)).order == 6
+    assert realise_data_correlation(markov_parameters(system, observer_order=2)).order == 2
 
 
 def test_lower_orders_are_corners():
@@ -158,7 +155,7 @@ def test_lower_orders_are_corners():
 
 def test_the_factors_are_data_and_give_the_indicators_of_the_mode():
     system = random_system(np.random.default_rng(3))
-    exact = extract_modes(realise_data_correlation(parameters_of(system, 100)))
+    exact = extract_modes(realise_data_correlation(markov_parameters(system, 100)))
     assert len(exact) == 3
     for mode in exact:
         assert mode.emac > 1 - 1e-6
@@ -180,7 +177,7 @@ def test_the_gain_is_realised_with_the_system_and_alone():
     K = 0.1 * rng.standard_normal((system.order, 3))
     g = np.array([np.eye(3), *pulse_response(system, 100, K)[1:]])
     scales = {"input_scale": [3.0, 0.2], "output_scale": [0.5, 1.0, 7.0]}
-    model = realise_data_correlation(parameters_of(system, 100, gain=g, **scales), order=6)
+    model = realise_data_correlation(markov_parameters(system, 100, gain=g, **scales), order=6)
     found = np.array(pulse_response(model, 40, model.K)[1:])
     np.testing.assert_allclose(found, g[1:41], atol=1e-9 * np.abs(g[1:]).max())
     only = MarkovParameters(system=np.zeros((101, 3, 0)), gain=g, dt=system.dt, output_scale=[0.5, 1.0, 7.0])
@@ -188,7 +185,7 @@ def test_the_gain_is_realised_with_the_system_and_alone():
     assert (model.order, model.B.shape, model.D.shape) == (6, (6, 0), (3, 0))
     found = np.array(pulse_response(model, 40, model.K)[1:])
     np.testing.assert_allclose(found, g[1:41], atol=1e-9 * np.abs(g[1:]).max())
-    assert realise_data_correlation(parameters_of(system)).K is None
+    assert realise_data_correlation(markov_parameters(system)).K is None
 
 
 def test_automatic_order_agrees_with_era_on_clear_data():
@@ -213,9 +210,9 @@ def test_the_fewest_lags_and_what_lies_below():
 def test_orders_beyond_the_rank_are_refused():
     system = random_system(np.random.default_rng(0))
     with pytest.raises(InsufficientDataError, match="numerical rank 6: it holds squares"):
-        realise_data_correlation(parameters_of(system), order=7)
+        realise_data_correlation(markov_parameters(system), order=7)
     with pytest.raises(InsufficientDataError, match="smaller side 60"):
-        realise_data_correlation(parameters_of(system), order=200)
+        realise_data_correlation(markov_parameters(system), order=200)
 
 
 @pytest.mark.parametrize(
@@ -223,7 +220,7 @@ def test_orders_beyond_the_rank_are_refused():
 )
 def test_arguments_outside_their_range_are_refused(wrong):
     with pytest.raises(InvalidDataError, match="must be a whole number of at least"):
-        realise_data_correlation(parameters_of(random_system(np.random.default_rng(0))), **wrong)
+        realise_data_correlation(markov_parameters(random_system(np.random.default_rng(0))), **wrong)
 
 
 def test_the_wrong_stage_is_named():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy
 import systems
+from containers import realisation_of
 from noisy import noisy_data, noisy_system
 from systems import random_system
 
@@ -14,10 +15,6 @@ from era.kalman import check_innovations, innovations
 from era.realisation import Realisation
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
-
-
-def model_of(system, K=None):
-    return Realisation(system.A, system.B, system.C, system.D, system.dt, K=K)
 
 
 def record_of(rng, noisy, n_samples, **options):
@@ -31,7 +28,7 @@ def distances(seeds, n_samples):
     for seed in seeds:
         rng = np.random.default_rng(seed)
         noisy = noisy_system(rng)
-        found = estimate_gain(model_of(noisy.system), record_of(rng, noisy, n_samples)).gain
+        found = estimate_gain(realisation_of(noisy.system), record_of(rng, noisy, n_samples)).gain
         size = np.linalg.norm(noisy.K)
         errors.append(np.linalg.norm(found - noisy.K) / size)
         traces = np.trace(np.linalg.inv(noisy.information)) * np.trace(np.linalg.inv(noisy.covariance))
@@ -64,7 +61,7 @@ def test_standard_deviations_and_covariance_are_right():
     noisy = noisy_system(rng, n_outputs=3)
     scores, covariances = [], []
     for _ in range(20):
-        found = estimate_gain(model_of(noisy.system), record_of(rng, noisy, 3000))
+        found = estimate_gain(realisation_of(noisy.system), record_of(rng, noisy, 3000))
         scores.append((found.gain - noisy.K) / found.gain_std)
         covariances.append(found.innovation_covariance)
     assert 0.85 < np.sqrt(np.mean(np.square(scores))) < 1.15
@@ -77,7 +74,7 @@ def test_pure_measurement_noise_gets_no_gain():
         system = random_system(rng)
         u = rng.standard_normal((2000, 2))
         y = systems.simulate(system, u, initial_state=rng.standard_normal(6)) + rng.standard_normal((2000, 3))
-        found = estimate_gain(model_of(system), Record(u, y, system.dt))
+        found = estimate_gain(realisation_of(system), Record(u, y, system.dt))
         assert not found.gain.any()
         assert not found.gain_std.any()
         assert "no better than the free run" in found.reason
@@ -95,7 +92,7 @@ def test_several_records_offsets_gaps_and_starts():
         y[rng.random(y.shape) < 0.01] = np.nan
         y[length // 2 : length // 2 + 50] = np.nan
         records.append(Record(u, y, noisy.system.dt))
-    found = estimate_gain(model_of(noisy.system), records)
+    found = estimate_gain(realisation_of(noisy.system), records)
     scores = (found.gain - noisy.K) / found.gain_std
     assert np.sqrt(np.mean(scores**2)) < 1.6  # of 18 numbers
     np.testing.assert_allclose(found.innovation_covariance, noisy.covariance, rtol=0.1, atol=0.05)
@@ -106,7 +103,7 @@ def test_many_short_records_do_not_hide_the_process_noise():
     rng = np.random.default_rng(22)
     noisy = noisy_system(rng, n_modes=3, n_outputs=3)
     records = [record_of(rng, noisy, 60) for _ in range(50)]
-    found = estimate_gain(model_of(noisy.system), records).gain
+    found = estimate_gain(realisation_of(noisy.system), records).gain
     assert np.linalg.norm(found - noisy.K) < 0.4 * np.linalg.norm(noisy.K)
 
 
@@ -126,7 +123,7 @@ def test_units_permutations_and_similarity():
     rng = np.random.default_rng(23)
     noisy = noisy_system(rng, n_outputs=3)
     system, record = noisy.system, record_of(rng, noisy, 2000)
-    plain = estimate_gain(model_of(system), record)
+    plain = estimate_gain(realisation_of(system), record)
     T, units, turn = rng.standard_normal((4, 4)) + 3 * np.eye(4), np.array([1e6, 1.0, 1e-4]), [2, 0, 1]
     other = Realisation(
         T @ system.A @ np.linalg.inv(T),
@@ -146,7 +143,7 @@ def test_units_permutations_and_similarity():
 
 
 def likelihood(model, K, record):
-    e = innovations(Realisation(model.A, model.B, model.C, model.D, model.dt, K=K), record)
+    e = innovations(realisation_of(model, K), record)
     return np.linalg.slogdet(e.T @ e / len(e))[1]
 
 
@@ -154,7 +151,7 @@ def test_no_small_change_of_the_gain_predicts_better():
     rng = np.random.default_rng(24)
     noisy = noisy_system(rng)
     record = record_of(rng, noisy, 20_000)
-    model = model_of(noisy.system)
+    model = realisation_of(noisy.system)
     found = estimate_gain(model, record)
     best = likelihood(model, found.gain, record)
     for _ in range(20):
@@ -174,7 +171,7 @@ def test_data_that_give_no_gain_say_so(change, words):
     rng = np.random.default_rng(25)
     noisy = noisy_system(rng)
     u, y = change(*noisy_data(rng, noisy, 400))
-    found = estimate_gain(model_of(noisy.system), Record(u, y, noisy.system.dt))
+    found = estimate_gain(realisation_of(noisy.system), Record(u, y, noisy.system.dt))
     assert not found.gain.any()
     assert words in found.reason
     assert (np.linalg.eigvalsh(found.innovation_covariance) > 0).all()
@@ -185,7 +182,7 @@ def test_noise_free_records_and_order_zero_give_no_gain():
     system = random_system(rng)
     u = rng.standard_normal((500, 2))
     record = Record(u, systems.simulate(system, u, initial_state=rng.standard_normal(6)), system.dt)
-    found = estimate_gain(model_of(system), record)
+    found = estimate_gain(realisation_of(system), record)
     assert not found.gain.any()
     assert "to rounding" in found.reason
     through = Realisation(np.empty((0, 0)), np.empty((0, 2)), np.empty((3, 0)), system.D, system.dt)
@@ -196,7 +193,7 @@ def test_one_noise_free_output_and_one_that_repeats_another():
     rng = np.random.default_rng(26)
     noisy = noisy_system(rng)
     record, system = record_of(rng, noisy, 4000), noisy.system
-    plain = estimate_gain(model_of(system), record)
+    plain = estimate_gain(realisation_of(system), record)
     C, D = np.vstack([system.C, np.zeros((1, 4))]), np.vstack([system.D, [[1.0, 0.0]]])
     exact = Record(record.inputs, np.hstack([record.outputs, record.inputs[:, :1]]), system.dt)
     found = estimate_gain(Realisation(system.A, system.B, C, D, system.dt), exact)
@@ -222,7 +219,7 @@ def test_poles_on_the_unit_circle():
     assert np.abs(np.linalg.eigvals(seen.A - found.gain @ seen.C)).max() < 1
     hidden = Realisation(A, B, np.hstack([system.C, np.zeros((2, 1))]), system.D, system.dt)
     found = estimate_gain(hidden, record).gain
-    np.testing.assert_allclose(found[:4], estimate_gain(model_of(system), record).gain, atol=1e-3)
+    np.testing.assert_allclose(found[:4], estimate_gain(realisation_of(system), record).gain, atol=1e-3)
     assert not found[4].any()
 
 
@@ -239,7 +236,7 @@ def test_wrong_use():
     noisy = noisy_system(rng)
     record = record_of(rng, noisy, 100)
     with pytest.raises(InvalidDataError, match="2 inputs and 2 outputs, but the record has 1 inputs"):
-        estimate_gain(model_of(noisy.system), record.select(inputs=[0]))
+        estimate_gain(realisation_of(noisy.system), record.select(inputs=[0]))
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -260,7 +257,7 @@ def case(seed, n_samples=2000, n_outputs=2):
     noisy = noisy_system(rng, n_outputs=n_outputs)
     u, y = noisy_data(rng, noisy, n_samples, initial_state=5 * rng.standard_normal(4))
     system = noisy.system
-    return noisy, Realisation(system.A, system.B, system.C, system.D, system.dt), Record(u, y, system.dt)
+    return noisy, realisation_of(system), Record(u, y, system.dt)
 
 
 def test_fitted_gains_leave_white_innovations_free_of_the_inputs():

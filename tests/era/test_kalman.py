@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import scipy
 import systems
+from containers import realisation_of
 from noisy import noisy_data, noisy_system
 from systems import random_system
 
@@ -32,13 +33,9 @@ def noisy_case(seed, n_samples, n_outputs=2):
     return system, K, covariance, Record(u, y, system.dt)
 
 
-def realisation(system, K=None):
-    return Realisation(system.A, system.B, system.C, system.D, system.dt, K=K)
-
-
 def test_filterpy_gives_our_innovations():
     system, K, _, record = noisy_case(1, 400)
-    model = realisation(system, K)
+    model = realisation_of(system, K)
     filter_ = kalman_filter(model)
     found = np.empty_like(record.outputs)
     for k in range(record.n_samples):
@@ -51,7 +48,7 @@ def test_filterpy_gives_our_innovations():
 
 def test_innovations_of_the_riccati_gain_have_its_covariance_and_are_white():
     system, K, covariance, record = noisy_case(2, 20_000)
-    e = innovations(realisation(system, K), record)
+    e = innovations(realisation_of(system, K), record)
     np.testing.assert_allclose(np.cov(e, rowvar=False), covariance, atol=0.06 * np.abs(covariance).max())
     lagged = np.abs(e[1:].T @ e[:-1]) / len(e) / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
     assert lagged.max() < 5 / np.sqrt(len(e))
@@ -61,7 +58,7 @@ def test_missing_outputs_have_no_innovation():
     system, K, _, record = noisy_case(3, 100)
     y = np.array(record.outputs)
     y[50, 1] = np.nan
-    e = innovations(realisation(system, K), Record(record.inputs, y, system.dt))
+    e = innovations(realisation_of(system, K), Record(record.inputs, y, system.dt))
     assert np.isnan(e[50, 1])
     assert np.isnan(e).sum() == 1
 
@@ -89,8 +86,7 @@ def test_the_sessions_print_what_they_show():
 
 
 def model_of(noisy, K=None):
-    system = noisy.system
-    return Realisation(system.A, system.B, system.C, system.D, system.dt, K=noisy.K if K is None else K)
+    return realisation_of(noisy.system, noisy.K if K is None else K)
 
 
 def textbook(model, R, u, y, *, steps, P0):

@@ -5,6 +5,7 @@ import pytest
 import scipy
 import scipy.signal
 import systems
+from containers import realisation_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from systems import random_system
@@ -22,10 +23,6 @@ def by_loop(A, B, C, D, inputs, *, state):
         outputs[k] = C @ state + D @ u
         state = A @ state + B @ u
     return outputs
-
-
-def realisation(system, K=None):
-    return Realisation(system.A, system.B, system.C, system.D, system.dt, K=K)
 
 
 def stable_gain(rng, system):
@@ -58,7 +55,7 @@ def test_long_records_are_exact_over_the_edges_of_chunks():
     start = systems.initial_state(rng, system, u)
     expected = systems.simulate(system, u, initial_state=start)
     record = Record(u, np.zeros_like(expected), system.dt)
-    found = simulate(realisation(system), record, initial_state=start).outputs
+    found = simulate(realisation_of(system), record, initial_state=start).outputs
     np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
 
 
@@ -67,7 +64,7 @@ def test_equals_dlsim():
     system = random_system(rng)
     u = rng.standard_normal((500, 2))
     expected = scipy.signal.dlsim((system.A, system.B, system.C, system.D, system.dt), u)[1]
-    found = simulate(realisation(system), Record(u, np.zeros((500, 3)), system.dt)).outputs
+    found = simulate(realisation_of(system), Record(u, np.zeros((500, 3)), system.dt)).outputs
     np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
 
 
@@ -164,7 +161,7 @@ def test_prediction_equals_a_plain_loop_with_and_without_missing_outputs():
             expected[k] = system.C @ state + system.D @ u[k]
             innovation = np.nan_to_num(y[k] - expected[k], nan=0.0)
             state = system.A @ state + system.B @ u[k] + K @ innovation
-        found = predict(realisation(system, K), Record(u, y, system.dt), initial_state=start).outputs
+        found = predict(realisation_of(system, K), Record(u, y, system.dt), initial_state=start).outputs
         np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
 
 
@@ -172,8 +169,8 @@ def test_prediction_with_zero_gain_is_the_free_run():
     rng = np.random.default_rng(5)
     system = random_system(rng)
     record = Record(rng.standard_normal((400, 2)), rng.standard_normal((400, 3)), system.dt)
-    found = predict(realisation(system, np.zeros((system.order, 3))), record).outputs
-    np.testing.assert_allclose(found, simulate(realisation(system), record).outputs, atol=1e-12)
+    found = predict(realisation_of(system, np.zeros((system.order, 3))), record).outputs
+    np.testing.assert_allclose(found, simulate(realisation_of(system), record).outputs, atol=1e-12)
 
 
 def test_a_gain_that_diverges_is_an_error():
@@ -228,7 +225,7 @@ def test_is_exact_on_half_the_rows_with_missing_outputs(n_samples):
     rows = rng.random(n_samples) < 0.5
     y[~rows] = 1e6  # must not be looked at
     y[rng.random(y.shape) < 0.1] = np.nan
-    found = estimate_initial_state(realisation(system), Record(u, y, system.dt), rows=rows)
+    found = estimate_initial_state(realisation_of(system), Record(u, y, system.dt), rows=rows)
     np.testing.assert_allclose(found, start, atol=1e-9 * np.abs(start).max())
 
 
@@ -241,7 +238,7 @@ def test_equals_plain_least_squares_on_noisy_rows():
     response = np.vstack([system.C @ np.linalg.matrix_power(system.A, k) for k in range(300)])
     forced = systems.simulate(system, u)
     expected = np.linalg.lstsq(response, (y - forced).ravel(), rcond=None)[0]
-    found = estimate_initial_state(realisation(system), Record(u, y, system.dt))
+    found = estimate_initial_state(realisation_of(system), Record(u, y, system.dt))
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
@@ -289,7 +286,7 @@ def test_rows_after_an_input_gap_are_left_out():
     y = systems.simulate(system, u, initial_state=start)
     u[200] = np.nan
     y[201:] = 1e6
-    found = estimate_initial_state(realisation(system), Record(u, y, system.dt))
+    found = estimate_initial_state(realisation_of(system), Record(u, y, system.dt))
     np.testing.assert_allclose(found, start, atol=1e-9)
 
 
@@ -298,7 +295,7 @@ def test_the_simulation_from_it_repeats_the_record():
     system = random_system(rng)
     u = rng.standard_normal((500, 2))
     y = systems.simulate(system, u, initial_state=rng.standard_normal(system.order))
-    record, model = Record(u, y, system.dt), realisation(system)
+    record, model = Record(u, y, system.dt), realisation_of(system)
     repeated = simulate(model, record, initial_state=estimate_initial_state(model, record)).outputs
     np.testing.assert_allclose(repeated, y, atol=1e-10 * np.abs(y).max())
 

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 import scipy.signal
+from containers import realisation_of
 from signals import random_inputs, with_noise
 from systems import markov, random_system, simulate
 
@@ -9,10 +10,6 @@ from modal.modes.extraction import extract_modes
 from modal.modes.response_synthesis import continuous_residue, frf, measured_frf, modal_frf
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
-
-
-def realisation_of(truth):
-    return Realisation(truth.A, truth.B, truth.C, truth.D, truth.dt)
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from containers import realisation_of
 from signals import random_inputs, with_noise
 from systems import markov, modal_system, random_chain, simulate
 
@@ -97,7 +98,7 @@ def test_the_model_with_delays_is_the_late_system(delays):
     rng = np.random.default_rng(6)
     system = two_modes(rng, 2)
     gain = 1e-3 * rng.standard_normal((system.order, 2))
-    model = with_input_delay(Realisation(system.A, system.B, system.C, system.D, system.dt, K=gain), delays)
+    model = with_input_delay(realisation_of(system, gain), delays)
     inputs = random_inputs(rng, 200, 2)
     lead = max(0, -min(delays))
     truth = simulate(system, ahead(late(inputs, [d + lead for d in delays]), lead))
@@ -119,7 +120,7 @@ def test_the_model_with_delays_is_the_late_system(delays):
 def test_markov_parameters_of_the_late_model_start_later():
     rng = np.random.default_rng(7)
     system = two_modes(rng, 1)
-    model = with_input_delay(Realisation(system.A, system.B, system.C, system.D, system.dt), [5])
+    model = with_input_delay(realisation_of(system), [5])
     pulse = [model.D] + [model.C @ np.linalg.matrix_power(model.A, k) @ model.B for k in range(20)]
     np.testing.assert_allclose(pulse[:5], 0.0, atol=0.0)
     np.testing.assert_allclose(pulse[5:], markov(system, 15), atol=1e-12)

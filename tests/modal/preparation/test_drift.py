@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
+from containers import realisation_of
 from signals import random_inputs, with_noise
 from systems import initial_state, modal_system, sampled, simulate, structure
 
 import era
-from era.realisation import Realisation
 from modal.preparation.drift import (
     CANDIDATES,
     choose_drift,
@@ -161,7 +161,7 @@ def test_the_model_with_integrators_sums_its_inputs(number):
     for _ in range(number):
         summed = np.cumsum(summed, axis=0)
     truth = simulate(system, summed)
-    model = with_integrators(Realisation(system.A, system.B, system.C, system.D, system.dt), number)
+    model = with_integrators(realisation_of(system), number)
     outputs = era.simulate(model, Record(inputs, truth, system.dt)).outputs
     np.testing.assert_allclose(outputs, truth, atol=1e-10 * np.abs(truth).max())
     assert model.order == system.order + 2 * number

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
+from containers import realisation_of
 from signals import random_inputs, with_noise
 from systems import initial_state, modal_system, random_chain, simulate
 
 import era
-from era.realisation import Realisation
 from era.simulation import estimate_initial_state
 from modal.estimation.free_run import free_runs
 from modal.preparation.quick_model import quick_model
@@ -169,7 +169,7 @@ def a_system(rng, n_samples=3000, *, delays=(0, 0), noise=0.03):
 
 
 def completed(system, prepared):
-    return prepared.complete(Realisation(system.A, system.B, system.C, system.D, system.dt))
+    return prepared.complete(realisation_of(system))
 
 
 def fit_of_true_model(system, prepared):

@@ -3,7 +3,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from modal.preparation.channel import Channel, channels_of
+from modal.preparation.channel import Channel, Finding, channels_of
+from modal.quality.check import check_quality
 from okid.record import Record
 from okid.scaling import channel_scaling
 
@@ -21,3 +22,9 @@ def channel_of() -> Callable[..., Channel]:
         return next(one for one in channels_of([record], channel_scaling([record])) if one.name == "tip")
 
     return make
+
+
+@pytest.fixture
+def found() -> Callable[[Record, str], list[Finding]]:
+    """What the whole check finds of one kind."""
+    return lambda record, what: [finding for finding in check_quality(record).findings if finding.what == what]

@@ -100,10 +100,6 @@ def test_a_band_below_50_hz_and_a_second_of_data_say_nothing(channel_of):
     assert hum_findings(short, mains_lines(short), []) == []
 
 
-def found(record, what):
-    return [finding for finding in check_quality(record).findings if finding.what == what]
-
-
 def only(outputs, dt=0.01):
     return Record(np.empty((len(outputs), 0)), outputs, dt)
 
@@ -120,7 +116,7 @@ def test_the_noise_floor_bounds_the_noise_that_was_added(size):
     assert np.isnan(most_white_noise(np.linspace(0, 1, 8), np.ones(8)))
 
 
-def test_white_noise_in_the_place_of_an_output_is_doubtful():
+def test_white_noise_in_the_place_of_an_output_is_doubtful(found):
     rng = np.random.default_rng(1)
     force = rng.standard_normal(6000)
     tip = scipy.signal.lfilter([0, 1], [1, -1.8, 0.95], force)
@@ -133,7 +129,7 @@ def test_white_noise_in_the_place_of_an_output_is_doubtful():
 
 
 @pytest.mark.parametrize(("cut", "n_found"), [(None, 1), (0.8, 0)])
-def test_motion_up_to_half_the_sampling_frequency_is_noted(cut, n_found):
+def test_motion_up_to_half_the_sampling_frequency_is_noted(cut, n_found, found):
     values = np.random.default_rng(2).standard_normal(20_000)
     values = scipy.signal.lfilter([1.0], [1, -0.5], values)
     if cut is not None:  # as an anti-alias filter leaves it
@@ -141,7 +137,7 @@ def test_motion_up_to_half_the_sampling_frequency_is_noted(cut, n_found):
     assert len(found(only(values), "no roll-off")) == n_found
 
 
-def test_a_held_input_needs_no_anti_alias_filter():
+def test_a_held_input_needs_no_anti_alias_filter(found):
     rng = np.random.default_rng(3)
     force = rng.standard_normal(6000)
     tip = scipy.signal.lfilter([1.0], [1, -0.5], force)
@@ -150,7 +146,7 @@ def test_a_held_input_needs_no_anti_alias_filter():
 
 
 @pytest.mark.parametrize(("periods", "n_found"), [(4, 1), (60, 0)])
-def test_few_periods_without_an_input_are_doubtful(periods, n_found):
+def test_few_periods_without_an_input_are_doubtful(periods, n_found, found):
     k = np.arange(4000)
     swing = np.sin(2 * np.pi * periods * k / 4000) + 0.01 * np.random.default_rng(4).standard_normal(4000)
     assert len(found(only(swing), "too short")) == n_found

@@ -4,14 +4,9 @@ import scipy.signal
 from signals import answer
 
 from modal.modes.response_synthesis import measured_frf
-from modal.quality.check import check_quality
 from modal.quality.coherence import explained_share, in_excess_of_chance, modelled_share
 from okid.frequency_response import averaged_spectra, segment_length
 from okid.record import Record
-
-
-def found(record, what):
-    return [finding for finding in check_quality(record).findings if finding.what == what]
 
 
 @pytest.mark.parametrize("n_inputs", [1, 3])
@@ -36,7 +31,7 @@ def test_half_noise_is_half_explained():
 
 
 @pytest.mark.parametrize(("noise", "level"), [(0.1, None), (0.6, "note"), (1.5, "doubtful"), (5.0, "bad")])
-def test_the_words_follow_the_share(noise, level):
+def test_the_words_follow_the_share(noise, level, found):
     """Explained shares of 99, 74, 31 and 4 %: the limits are 90, 50 and 10 %."""
     rng = np.random.default_rng(2)
     force = rng.standard_normal(20_000)
@@ -48,7 +43,7 @@ def test_the_words_follow_the_share(noise, level):
         assert 1.0 - low[0].share == pytest.approx(1 / (1 + noise**2), abs=0.05)
 
 
-def test_a_ringing_longer_than_the_segments_is_leakage_not_noise():
+def test_a_ringing_longer_than_the_segments_is_leakage_not_noise(found):
     force = np.random.default_rng(3).standard_normal(6000)
     record = Record(force, answer(force, damping=0.0005), 0.01)
     assert found(record, "low coherence") == []
@@ -56,7 +51,7 @@ def test_a_ringing_longer_than_the_segments_is_leakage_not_noise():
     assert finding.level == "note"
 
 
-def test_the_bands_named_are_those_that_are_noisy():
+def test_the_bands_named_are_those_that_are_noisy(found):
     rng = np.random.default_rng(4)
     force = rng.standard_normal(60_000)
     hiss = scipy.signal.lfilter(*scipy.signal.butter(4, [0.5, 0.6], "band"), rng.standard_normal(60_000))
@@ -105,7 +100,7 @@ def test_a_dead_output_takes_nothing_from_its_neighbours():
     assert np.isnan(modelled_share([Record(np.zeros(6000), outputs, 0.01)])).all()
 
 
-def test_the_worst_of_leaking_outputs_is_named_with_their_number():
+def test_the_worst_of_leaking_outputs_is_named_with_their_number(found):
     force = np.random.default_rng(3).standard_normal(6000)
     outputs = np.column_stack([answer(force, damping=0.0005), answer(force, damping=0.001)])
     (finding,) = found(Record(force, outputs, 0.01), "leakage")
@@ -115,7 +110,7 @@ def test_the_worst_of_leaking_outputs_is_named_with_their_number():
 
 
 @pytest.mark.parametrize(("every", "is_blamed"), [(1000, True), (20_000, False)])
-def test_inputs_that_change_in_few_places_leave_the_share_to_chance(every, is_blamed):
+def test_inputs_that_change_in_few_places_leave_the_share_to_chance(every, is_blamed, found):
     """Steps in twenty places, or in one."""
     rng = np.random.default_rng(6)
     force = np.repeat(rng.standard_normal(20_000 // every), every) if is_blamed else np.arange(20_000) > 9000

@@ -11,10 +11,6 @@ from modal.quality.inputs import copy_findings, excitation_findings, timing_find
 from okid.record import Record
 
 
-def found(record, what):
-    return [finding for finding in check_quality(record).findings if finding.what == what]
-
-
 def test_inputs_that_are_one_signal_are_bad_and_two_signals_are_not():
     rng = np.random.default_rng(1)
     first, second, tip = rng.standard_normal((3, 3000))
@@ -24,7 +20,7 @@ def test_inputs_that_are_one_signal_are_bad_and_two_signals_are_not():
 
 
 @pytest.mark.parametrize(("own", "n_found"), [(0.05, 1), (1.0, 0)])
-def test_inputs_that_move_together_are_doubtful(own, n_found):
+def test_inputs_that_move_together_are_doubtful(own, n_found, found):
     """Coherence of two inputs with a common part: 1 / (1 + own^2)^2, 0.995 and 0.25; the limit is 0.95."""
     common, a, b, noise = np.random.default_rng(2).standard_normal((4, 20_000))
     inputs = np.column_stack([common + own * a, common + own * b])
@@ -75,7 +71,7 @@ def test_a_sine_is_poor_excitation():
 
 
 @pytest.mark.parametrize(("size", "n_found"), [(0.5, 1), (0.05, 0)])
-def test_motion_where_no_input_moves_is_doubtful(size, n_found):
+def test_motion_where_no_input_moves_is_doubtful(size, n_found, found):
     """20 and 0.25 % of the power at 40 Hz, where the input, filtered at 10 Hz, does nothing; the limit is 5 %."""
     rng = np.random.default_rng(3)
     sos = scipy.signal.butter(8, 0.2, output="sos")

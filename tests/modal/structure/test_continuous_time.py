@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import scipy
+from containers import realisation_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from systems import TruthSystem, random_chain, random_system, sampled
@@ -34,7 +35,7 @@ def test_recovers_the_system_that_was_sampled(hold: str, seed: int) -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_poles_of_random_systems(seed: int) -> None:
     truth: TruthSystem = random_system(np.random.default_rng(seed), n_real_poles=1)
-    found = continuous_system(Realisation(truth.A, truth.B, truth.C, truth.D, truth.dt), input_hold="zero_order")
+    found = continuous_system(realisation_of(truth), input_hold="zero_order")
     np.testing.assert_allclose(poles_of(found.A), np.sort_complex(truth.poles), rtol=1e-8)
 
 
@@ -102,7 +103,7 @@ def test_refuses_another_time_step_and_what_is_no_state_space() -> None:
 def test_static_gain_of_all_holds_agrees() -> None:
     """A constant input is held, straight and band-limited at once: H(0) must be the same."""
     truth = random_chain(np.random.default_rng(2), n_masses=2, sensor_kinds="displacement", highest_share=0.2)
-    given = Realisation(truth.A, truth.B, truth.C, truth.D, truth.dt)
+    given = realisation_of(truth)
     exact = truth.C @ np.linalg.solve(np.eye(4) - truth.A, truth.B) + truth.D
     for hold, tolerance in (("zero_order", 1e-8), ("linear", 1e-8), ("band_limited", 0.05)):
         found = continuous_system(given, input_hold=hold)
@@ -112,7 +113,7 @@ def test_static_gain_of_all_holds_agrees() -> None:
 
 def test_step_response_is_that_of_the_discrete_system() -> None:
     truth = random_system(np.random.default_rng(8), feedthrough=0.5)
-    found = continuous_system(Realisation(truth.A, truth.B, truth.C, truth.D, truth.dt), input_hold="zero_order")
+    found = continuous_system(realisation_of(truth), input_hold="zero_order")
     n = len(truth.A)
     block = np.zeros((n + 2, n + 2))
     block[:n] = np.hstack([found.A, found.B])

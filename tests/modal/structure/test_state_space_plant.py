@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from containers import realisation_of
 from systems import chain_matrices, random_system
 
-from era.realisation import Realisation
 from modal.simulation.plant import Plant, PlantMatrices, plant_matrices
 from modal.structure.state_space_plant import state_space_plant
 from okid.errors import InvalidDataError
@@ -53,7 +53,7 @@ def response(
 @pytest.mark.parametrize("seed", range(5))
 def test_transfer_function_of_random_systems(seed: int) -> None:
     truth = random_system(np.random.default_rng(seed), n_real_poles=seed % 2, feedthrough=0.4)
-    system = Realisation(truth.A, truth.B, truth.C, truth.D, truth.dt)
+    system = realisation_of(truth)
     plant = state_space_plant(system, sensor_kind="velocity", input_hold="zero_order", dt=truth.dt)
     m = nominal(plant)
     # one exponential samples it again: the pulse response must be that of the discrete system
@@ -213,7 +213,7 @@ def test_poles_are_the_parameters_of_a_plant_that_is_no_structure() -> None:
 
 def test_the_system_is_affine_in_the_parameters() -> None:
     truth = random_system(np.random.default_rng(4), n_real_poles=1)
-    plant = state_space_plant(Realisation(truth.A, truth.B, truth.C, truth.D, truth.dt), sensor_kind="velocity")
+    plant = state_space_plant(realisation_of(truth), sensor_kind="velocity")
     step = 1e-3 * np.array([parameter.deviation for parameter in plant.parameters])
     for index in range(len(step)):
         shift = step[index] * np.eye(len(step))[index]
