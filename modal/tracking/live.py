@@ -53,7 +53,8 @@ from okid.record import InputHold, Record
 from okid.scaling import ChannelScaling, channel_scaling
 
 ON_TIME = 0.5
-"""Take a block for the next one where it begins within so many time steps of the end of the last."""
+"""Take a block, or a row, for the next one where it begins within so many time steps of the end of the last; else
+one is missing, or the clock was set."""
 
 LIVE_RIDGE = 1e-8
 """Keep the observer of a window in which inputs rest for a while from growing without bound."""
@@ -274,8 +275,6 @@ def _smeared(modes: ModalModel, past: Sequence[LiveEstimate], time: float, span:
     return tuple(texts)
 
 
-OFF_GRID = 0.5
-"""End a block where a stamp is off the grid by so many time steps: a row is missing, or the clock was set."""
 FEWEST_ROWS = 20
 """Wait for so many rows before the layout and the time step are told."""
 SEEN_BYTES = 64
@@ -581,13 +580,13 @@ def _unbroken(table: Table, values: FloatArray, step: float) -> int:
     stamps = _seconds(table, values)
     if stamps is None or len(values) < 2:
         return len(values)
-    off = np.abs(np.diff(stamps) - step) > OFF_GRID * step
+    off = np.abs(np.diff(stamps) - step) > ON_TIME * step
     return int(np.argmax(off)) + 1 if off.any() else len(values)
 
 
 def _tell_break(start: float, end: float, step: float, tell: Callable[[str], None]) -> None:
     late = start - end
-    if late > OFF_GRID * step:
+    if late > ON_TIME * step:
         tell(f"{late:.4g} s are missing before {start:.6g} s; rows after the gap look back to nothing before it.")
-    elif late < -OFF_GRID * step:
+    elif late < -ON_TIME * step:
         tell(f"the clock jumped back by {-late:.4g} s to {start:.6g} s; a new window begins there.")
