@@ -179,11 +179,11 @@ def seen_at(panel: Panel, x: npt.ArrayLike, y: npt.ArrayLike) -> FloatArray:
     return Drawing.ENLARGED * np.clip(panel.place(panel.within(points)), (left, top), (left + width, top + height))
 
 
-def colour_of(role: Role, opacity: float = 1.0) -> Colour:
+def role_colour(role: Role, opacity: float = 1.0) -> Colour:
     """The colour of a role as it shines through to the background: lines in the viewer hide what is behind them.
 
     Example:
-        >>> colour_of("measured"), colour_of("measured", 0.5)
+        >>> role_colour("measured"), role_colour("measured", 0.5)
         ((86, 156, 255), (50, 85, 136))
     """
     red, green, blue = (
@@ -199,7 +199,7 @@ def _entries(chart: Chart, panel: Panel) -> list[tuple[str, Colour]]:
     if outer is None and panel.key is None:
         return []
     title = [(outer.title, COLOURS["muted"])] if outer is not None and outer.title else []
-    return [*title, *((mark.label, colour_of(mark.role, max(mark.opacity, STYLE.half))) for mark in panel.keyed)]
+    return [*title, *((mark.label, role_colour(mark.role, max(mark.opacity, STYLE.half))) for mark in panel.keyed)]
 
 
 def _wrapped(panel: Panel, entries: Sequence[tuple[str, Colour]]) -> list[list[tuple[str, Colour]]]:
@@ -311,7 +311,7 @@ def _log_words(recording: RecordingStream, path: str, said: Sequence[Said]) -> N
 
 
 def _log_mark(recording: RecordingStream, path: str, panel: Panel, mark: Mark, order: float) -> None:
-    colour = colour_of(mark.role, mark.opacity)
+    colour = role_colour(mark.role, mark.opacity)
     if isinstance(mark, Area):
         _log_area(recording, path, panel, mark, order)
     elif isinstance(mark, Segments):
@@ -353,7 +353,7 @@ def _log_dots(recording: RecordingStream, path: str, panel: Panel, curve: Curve,
     dots = rr.Points2D(
         seen_at(panel, *shown.T),
         radii=rr.Radius.ui_points(0.7 * curve.dot),
-        colors=colour_of(curve.role, curve.opacity),
+        colors=role_colour(curve.role, curve.opacity),
         labels=texts,
         show_labels=False,
         draw_order=order + 0.5,
@@ -368,7 +368,7 @@ def _log_area(recording: RecordingStream, path: str, panel: Panel, area: Area, o
         return
     if area.opacity < 1.0:
         closed = [np.concatenate([rim, rim[:1]]) for rim in rims]
-        _strips(recording, path, closed, colour_of(area.role, max(area.opacity, STYLE.pale)), order=order)
+        _strips(recording, path, closed, role_colour(area.role, max(area.opacity, STYLE.pale)), order=order)
         return
     strokes, radii = [], []
     for rim in rims:

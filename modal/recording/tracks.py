@@ -22,9 +22,9 @@ from modal.recording.figure import (
     Colour,
     Palette,
     RecordingStream,
-    colour_of,
     document_view,
     drawable,
+    role_colour,
     rr,
     rrb,
     series_view,
@@ -361,15 +361,15 @@ def _draw_all(pen: _Pen, found: FollowedModes, budget: int) -> None:
         role = IN_TURN[place % len(IN_TURN)]
         rows = extreme_rows(mode.frequency, budget)
         values = mode.frequency[rows]
-        pen.dots(f"{ALL}/frequency/{part}", mode.times[rows], values, name=mode.name, colour=colour_of(role))
-        colour = colour_of(role, STYLE.half if found.changes else 1.0)
+        pen.dots(f"{ALL}/frequency/{part}", mode.times[rows], values, name=mode.name, colour=role_colour(role))
+        colour = role_colour(role, STYLE.half if found.changes else 1.0)
         pen.line(f"{ALL}/left/0_means/{part}", *mode.left.T, name=mode.name, colour=colour)
         pen.line(
             f"{ALL}/left/1_levels/{part}",
             mode.level[:, :2].reshape(-1),
             np.repeat(mode.level[:, 2], 2),
             name=f"level of {mode.name}",
-            colour=colour_of(role),
+            colour=role_colour(role),
             width=3.0,
             is_whole=True,
         )

@@ -17,7 +17,7 @@ from modal.identification.result import Identification, OrderEvidence
 from modal.modes.response_synthesis import frf
 from modal.plots.order import POLE_ROLES, colour_measure, order_fits, singular_values, stabilisation_diagram
 from modal.plots.panels import STYLE, Curve, Panel
-from modal.recording.figure import Palette, Pane, RecordingStream, colour_of, log_chart, rr, seen_at
+from modal.recording.figure import Palette, Pane, RecordingStream, log_chart, role_colour, rr, seen_at
 from modal.recording.plan import Plan, known, log_table, table
 from modal.recording.series import TIMELINE
 from modal.verdict.stabilisation import StabilisationPoint
@@ -90,7 +90,7 @@ def _pole_colours(points: Sequence[StabilisationPoint], evidence: OrderEvidence)
     measure, classes, _ = colour_measure(evidence)
     shares = np.nan_to_num([getattr(point, measure) for point in points])
     number = np.searchsorted([below for _, below, _ in classes[:-1]], shares, side="right")
-    return np.array([colour_of(role) for role in POLE_ROLES], dtype=np.uint8)[number]
+    return np.array([role_colour(role) for role in POLE_ROLES], dtype=np.uint8)[number]
 
 
 def mark_orders(recording: RecordingStream, pane: Pane, panel: Panel, evidence: OrderEvidence) -> None:

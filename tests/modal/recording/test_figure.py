@@ -5,7 +5,7 @@ import pytest
 import rerun as rr
 
 from modal.plots.chart import Key, grid_of
-from modal.recording.figure import Pane, colour_of, log_chart, seen_at
+from modal.recording.figure import Pane, log_chart, role_colour, seen_at
 
 PANE = Pane("page/plot", 600.0, 400.0)
 
@@ -112,5 +112,5 @@ def test_several_panels_are_apart():
 
 
 def test_what_shines_through_lies_between_the_colour_and_the_ground():
-    pale, full = np.array(colour_of("system", 0.3)), np.array(colour_of("system"))
+    pale, full = np.array(role_colour("system", 0.3)), np.array(role_colour("system"))
     assert (pale < full).all()
