@@ -20,10 +20,10 @@ _POOR_SHARE = 0.9
 """Below this share of the band the message names the band that is missing."""
 _BRIDGED = 0.01
 """Of the whole band: a message takes bands that are closer than this for one."""
-_RANGE = 1e-6
-"""60 dB: a frequency counts as excited within this factor of the largest spectral density."""
+DYNAMIC_RANGE = 1e-6
+"""Count a frequency as excited within this factor, 60 dB, of the largest spectral density, and a line as driven."""
 _HALVED = 256
-"""Look through a window of half the length, too, where the whole has so many samples: a Hann window is down to `_RANGE`
+"""Look through a window of half the length, too, where the whole has so many samples: a Hann window is down by 60 dB
 seven lines away, which would be most of the band of a few dozen."""
 
 
@@ -185,7 +185,7 @@ def _density(records: Sequence[Record], channel: int, scaling: ChannelScaling) -
 
 
 def _excited(density: FloatArray) -> BoolArray:
-    excited: BoolArray = density > _RANGE * density.max()
+    excited: BoolArray = density > DYNAMIC_RANGE * density.max()
     return excited
 
 

@@ -38,6 +38,7 @@ from modal.examples.story import LinearStructure, command_line, print_written, r
 from modal.identification.pipeline import identify
 from modal.identification.result import Identification
 from modal.report.comparison import write_comparison
+from modal.wording.text import NINETY_FIVE
 from okid.arrays import FloatArray
 from okid.record import Record
 
@@ -148,7 +149,7 @@ class Suspect:
 def suspects(comparison: Comparison) -> tuple[Suspect, ...]:
     """Every joint as the suspect, the one that explains the shifts best first; all joints are alike on the drawing."""
     shifts = np.array([pair.frequency.change for pair in comparison.pairs])
-    stds = np.array([pair.frequency.half_width for pair in comparison.pairs]) / 1.96
+    stds = np.array([pair.frequency.half_width for pair in comparison.pairs]) / NINETY_FIVE
     strains = np.array([np.abs(ACROSS @ pair.before.shape) ** 2 for pair in comparison.pairs])
     lowered: FloatArray = -0.5 * strains / strains.sum(axis=1, keepdims=True)
     found = []

@@ -29,6 +29,7 @@ import numpy as np
 import scipy
 
 from modal.discrepancy.diagnosis import diagnose
+from modal.discrepancy.noise.spectral import FEWEST_ROWS
 from modal.discrepancy.results import Diagnosis
 from modal.effects.catalogue import CATALOGUE
 from modal.examples.story import print_written, shrinking
@@ -48,8 +49,6 @@ A_CYCLE = 60
 """Rows of a cycle to keep: more tell little and take longer."""
 SMALLEST = 0.1
 """Look at no swings below this share of the first: there a bearing creeps, or nothing moves."""
-FEWEST_ROWS = 64
-"""Ask for so many in each quarter of a swing: a diagnosis takes no fewer."""
 FEWEST_PEAKS = 5
 """Of a swing, to tell one law of its peaks from another."""
 

@@ -15,7 +15,7 @@ import scipy
 
 from modal.modes.mode import ModalModel
 from modal.preparation.kind import acting_in, find_kind
-from okid.arrays import TINY, ComplexArray, FloatArray
+from okid.arrays import ROUNDED, TINY, ComplexArray, FloatArray
 from okid.record import Record
 
 COHERENT = 0.3
@@ -323,5 +323,5 @@ def _multiple_coherence(spectra: ComplexArray, n_inputs: int, n_averages: int, *
     power = np.maximum(np.einsum("foo->fo", spectra[:, out, out]).real, tiny)
     # half-overlapping Hann segments are worth about 0.95 of their number in averages
     bias = min(1.0, n_inputs / max(1.0, 0.95 * n_averages))
-    coherence: FloatArray = (explained / power - bias) / max(1e-9, 1.0 - bias)
+    coherence: FloatArray = (explained / power - bias) / max(ROUNDED, 1.0 - bias)
     return np.clip(coherence, 0.0, 1.0) if clip else coherence

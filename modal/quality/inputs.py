@@ -17,7 +17,7 @@ from modal.preparation.delay import LEAST_DELAY, choose_input_delay, pulse_steps
 from modal.wording.text import percent
 from okid.arrays import ROUNDED, TINY, FloatArray
 from okid.errors import IdentificationError
-from okid.excitation import check_excitation
+from okid.excitation import DYNAMIC_RANGE, check_excitation
 from okid.frequency_response import FEWEST_AVERAGES, AveragedSpectra
 from okid.record import Record
 from okid.rows import complete_rows
@@ -25,8 +25,6 @@ from okid.rows import complete_rows
 ALIKE = 0.95
 """Call two inputs alike in a line from this coherence: the share of one in the response depends on noise."""
 
-UNDRIVEN = 1e-6
-"""Say that an input does not drive a line with a smaller share of the power of its largest one (60 dB)."""
 
 HEAD_START = 16
 """Make the outputs so many samples late, so that one that runs ahead of an input shows."""
@@ -137,7 +135,7 @@ def _undriven(record: Record, spectra: AveragedSpectra, frf: MeasuredFrf) -> lis
     n = record.n_inputs
     power = spectra.power[1:]
     largest = power[:, :n].max(axis=0)
-    still = (power[:, :n] < UNDRIVEN * largest).all(axis=1)
+    still = (power[:, :n] < DYNAMIC_RANGE * largest).all(axis=1)
     total = np.maximum(power[:, n:].sum(axis=0), np.finfo(float).tiny)
     # the little that an input does there may drive a resonance all the same: then the two are coherent
     foreign = still[:, np.newaxis] & ~(frf.multiple_coherence[1:] > MOSTLY)

@@ -15,6 +15,7 @@ import numpy as np
 from modal.identification.result import Identification
 from modal.wording.text import GOOD_FIT, LEAST_FIT, NINETY_FIVE, fit_text, whole_percent
 from okid.errors import InvalidDataError
+from okid.residuals import NOT_WHITE
 
 if TYPE_CHECKING:
     from modal.acceptance.test_file import SensorNote, Specification
@@ -202,9 +203,6 @@ def _folds(n_folds: int) -> str:
     return "the only fold" if n_folds == 1 else f"each of {n_folds} folds"
 
 
-WHITE_RATIO = 2.0
-"""Whiteness statistic over its degrees of freedom above which residuals are not white."""
-
 _RESTS_ON = {
     "responses": (
         "They rest on how sharply the misfit of the responses rises when a pole is moved, and on the noise that "
@@ -249,7 +247,7 @@ def uncertainty_sentences(result: Identification) -> tuple[str, ...]:
         sentences.append(f"The noise is known from {known.degrees_of_freedom:,.0f} degrees of freedom.")
     sentences.append(_left_out(result))
     ratio = math.nan if result.innovations is None else result.innovations.whiteness_ratio
-    if ratio > WHITE_RATIO:
+    if ratio > NOT_WHITE:
         sentences.append(
             f"The one-step errors of the model are not white (statistic {ratio:.2g} times its degrees of freedom, "
             "where 1 is white): the noise has a memory, or the model lacks something."
