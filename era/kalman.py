@@ -40,7 +40,7 @@ from okid.arrays import ROUNDED, FloatArray, frozen, real_number, whole_number
 from okid.display import Displayed
 from okid.errors import InvalidDataError, NumericalError
 from okid.record import Record
-from okid.residuals import NOT_WHITE, WHITENESS_LAGS, ResidualCheck, centred, residual_check
+from okid.residuals import NOT_WHITE, UNLIKELY_WHITE, WHITENESS_LAGS, ResidualCheck, centred, residual_check
 from okid.rows import as_records, runs_of
 
 LARGEST_CONDITION = 1e12
@@ -204,7 +204,7 @@ def _messages(ratio: float, p_value: float, input_ratio: float, lags: int) -> tu
             "the past holds more than the gain uses: the noise has dynamics that are not the model's, or the gain "
             "is not that of these data."
         )
-    elif p_value < 0.05:
+    elif p_value < UNLIKELY_WHITE:
         found.append(
             f"the innovations are nearly white: statistic over degrees of freedom {ratio:.2f} (1 is white), p-value "
             f"{p_value:.2g}."

@@ -23,6 +23,8 @@ from okid.rows import as_records, complete_rows, usable_rows
 
 NOT_WHITE = 2.0
 """Statistic over degrees of freedom from which errors are called coloured."""
+UNLIKELY_WHITE = 0.05
+"""Call errors nearly white, not white, below this p-value."""
 WHITENESS_LAGS = 20
 """Test so many lags beyond those that the fitted numbers take up."""
 ROUND_OFF = 1e-8
@@ -416,7 +418,7 @@ def _messages(ratio: float, p_value: float, input_ratio: float, lags: int, order
             f"so the observer of order {order} leaves dynamics of the noise out; a higher order helps if the record "
             "is long enough."
         )
-    elif p_value < 0.05:
+    elif p_value < UNLIKELY_WHITE:
         found.append(
             f"the residual is nearly white: statistic over degrees of freedom {ratio:.2f} (1 is white); its p-value "
             f"{p_value:.2g} is weak evidence, since the test rejects too often for a truncated observer."

@@ -338,7 +338,7 @@ def _segments(panel: Panel, segments: Segments) -> str:
         return drawn
     heads = []
     for start, end in places:
-        along = (end - start) / max(float(np.linalg.norm(end - start)), 1e-9)
+        along = (end - start) / max(float(np.linalg.norm(end - start)), ROUNDED)
         side = 0.4 * _ARROW * np.array([-along[1], along[0]])
         heads.append(_strip(np.array([end, end - _ARROW * along + side, end - _ARROW * along - side])) + "z")
     return drawn + _filled("".join(heads), segments.role, segments.opacity)

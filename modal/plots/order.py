@@ -12,7 +12,7 @@ from modal.plots.panels import STYLE, Panel, Role
 from modal.sections.discrepancy_stages import power_spectra
 from modal.verdict.stabilisation import StabilisationPoint
 from modal.wording.text import hertz
-from okid.arrays import FloatArray
+from okid.arrays import ROUNDED, FloatArray
 from okid.record import Record
 
 OVERLAP_CLASSES = ((0.0, 0.5, "new"), (0.5, 0.8, "0.5 to 0.8"), (0.8, 0.95, "0.8 to 0.95"), (0.95, 1.01, "above 0.95"))
@@ -90,7 +90,7 @@ def stabilisation_diagram(evidence: OrderEvidence, modes: ModalModel, *, measure
     frequency, power = _mean_spectrum(measured) if measured else (np.zeros(0), np.zeros(0))
     if power.any():
         level = 10.0 * np.log10(np.maximum(power, power.max() * 1e-8))
-        height = (level - level.min()) / max(float(np.ptp(level)), 1e-9)
+        height = (level - level.min()) / max(float(np.ptp(level)), ROUNDED)
         panel.area(frequency, 0, height * highest * 0.96, "measured", opacity=STYLE.faint)
         label = "mean spectrum of the outputs"
         panel.line(frequency, height * highest * 0.96, "measured", width=STYLE.thin, opacity=STYLE.half, label=label)

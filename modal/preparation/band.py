@@ -24,6 +24,8 @@ COHERENT_POWER = 0.9999
 """Share of each output's coherent power that the band must hold: a mode left out moves less than 1 % of any output."""
 COLLINEAR = 1e-9
 """Add so much of its power to each input before they are told apart: two that are one have no inverse."""
+WORTH = 0.95
+"""Count half-overlapping Hann segments as this share of their number in averages, about."""
 LENGTHS = (64, 256, 1024)
 """Look at so many rows after each blow: an answer stands out most over as many rows as it takes."""
 NEIGHBOURS = 8
@@ -208,7 +210,7 @@ def chance_of_following(
     if n_inputs == 0 or n_averages < 2 * n_inputs + 2:
         return np.zeros(len(frequencies))
     lines = np.fft.rfftfreq(n_segment, records[0].dt)
-    worth = 0.95 * n_averages  # as in `_multiple_coherence`, whose correction is taken back
+    worth = WORTH * n_averages  # as in `_multiple_coherence`, whose correction is taken back
     bias = n_inputs / worth
     coherence = _multiple_coherence(spectra, n_inputs, n_averages, clip=False) * (1.0 - bias) + bias
     chances = np.zeros(len(frequencies))
@@ -321,7 +323,6 @@ def _multiple_coherence(spectra: ComplexArray, n_inputs: int, n_averages: int, *
     gain = np.linalg.solve(regular, spectra[:, into, out])
     explained = np.einsum("fio,fio->fo", spectra[:, into, out].conj(), gain).real
     power = np.maximum(np.einsum("foo->fo", spectra[:, out, out]).real, tiny)
-    # half-overlapping Hann segments are worth about 0.95 of their number in averages
-    bias = min(1.0, n_inputs / max(1.0, 0.95 * n_averages))
+    bias = min(1.0, n_inputs / max(1.0, WORTH * n_averages))
     coherence: FloatArray = (explained / power - bias) / max(ROUNDED, 1.0 - bias)
     return np.clip(coherence, 0.0, 1.0) if clip else coherence

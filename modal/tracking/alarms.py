@@ -25,7 +25,7 @@ import numpy as np
 
 from modal.comparison.shifts import chance_together
 from okid.arrays import ROUNDED, BoolArray, FloatArray
-from okid.readers.clock import DAY
+from okid.readers.clock import DAY, HOUR
 
 
 class Causes:
@@ -33,7 +33,7 @@ class Causes:
 
     DEGREES: Final = (0, 1, 2, 3, 4)
     """Try polynomials of a cause up to this degree; 0 leaves the cause out."""
-    TIME_CONSTANTS: Final = tuple(3600.0 * hours for hours in (3, 6, 12, 24, 48, 96))
+    TIME_CONSTANTS: Final = tuple(float(HOUR * hours) for hours in (3, 6, 12, 24, 48, 96))
     """Try these [s] for the body that follows slowly, from a thin deck to a massive pier,"""
     SLOW_PARTS: Final = (0.25, 0.5, 0.75, 1.0)
     """and these parts of the cause that are felt through it."""
@@ -131,7 +131,7 @@ def _terms(
         slow = _followed_slowly(cause, times, felt.constant) if felt.part else cause
         columns.append(_polynomials((1.0 - felt.part) * cause + felt.part * slow, felt.degree))
         how = [f"polynomial of degree {felt.degree}"] * (felt.degree > 1)
-        how += [f"{100 * felt.part:.0f} % felt within {felt.constant / 3600.0:.0f} h"] * (felt.part > 0)
+        how += [f"{100 * felt.part:.0f} % felt within {felt.constant / HOUR:.0f} h"] * (felt.part > 0)
         names.append(f"{name} ({', '.join(how)})" if how else name)
     return np.hstack(columns), tuple(names)
 
