@@ -97,9 +97,19 @@ def test_a_limit_is_one_value_however_it_was_rounded(channel_of, jitter, n_found
     assert len(clipping_findings(channel_of(clipped))) == n_found
 
 
+def compare_by_hand(motion, seen, frequencies):
+    """What is left of the distorted motion beside the motion itself, both of them known."""
+    made = seen - (seen @ motion) / (motion @ motion) * motion
+    lines, whole = scipy.signal.welch(seen, 100.0, nperseg=2048)
+    _, by_hand = scipy.signal.welch(made, 100.0, nperseg=2048)
+    shares = distortion_power([Record([], seen, 0.01)], frequencies, [0.3] * len(frequencies)).ravel()
+    for f, share in zip(frequencies, shares, strict=True):
+        band = np.abs(lines - f) <= 0.3
+        assert share == pytest.approx(by_hand[band].sum() / whole[band].sum(), rel=0.2, abs=0.01)
+
+
 @pytest.mark.parametrize("limits", [(-1.5, 1.5), (-np.inf, 1.0), (-2.0, 1.2)])
 def test_the_spectrum_of_what_limits_make_is_that_of_what_they_change(limits):
-    """By hand: what is left of the clipped motion beside the motion itself, both of them known."""
     rng = np.random.default_rng(6)
     force = rng.standard_normal(400_000)
     motion = sum(
@@ -110,32 +120,19 @@ def test_the_spectrum_of_what_limits_make_is_that_of_what_they_change(limits):
     motion /= motion.std()
     clipped = np.clip(motion, *limits)
     clipped -= clipped.mean()
-    made = clipped - (clipped @ motion) / (motion @ motion) * motion
-    lines, whole = scipy.signal.welch(clipped, 100.0, nperseg=2048)
-    _, by_hand = scipy.signal.welch(made, 100.0, nperseg=2048)
-    frequencies = [3.0, 4.0, 7.0, 14.0, 15.0, 18.0, 21.0, 25.0, 29.0, 33.0]
-    shares = distortion_power([Record([], clipped, 0.01)], frequencies, [0.3] * len(frequencies)).ravel()
-    for f, share in zip(frequencies, shares, strict=True):
-        band = np.abs(lines - f) <= 0.3
-        assert share == pytest.approx(by_hand[band].sum() / whole[band].sum(), rel=0.2, abs=0.01)
+    compare_by_hand(motion, clipped, [3.0, 4.0, 7.0, 14.0, 15.0, 18.0, 21.0, 25.0, 29.0, 33.0])
 
 
 @pytest.mark.parametrize("step", [0.8, 1.5, 2.5])
 def test_the_spectrum_of_what_coarse_levels_make_is_that_of_what_they_change(step):
-    """By hand, as above: every odd harmonic and their sums, folded down, and not only the first few."""
+    """Every odd harmonic and their sums, folded down, and not only the first few."""
     rng = np.random.default_rng(7)
     motion = resonance(rng.standard_normal(400_000), 36.4, 0.002)
     motion /= motion.std()
     motion += 0.1 * rng.standard_normal(motion.size)
     coarse = step * np.round(motion / step)
-    made = coarse - (coarse @ motion) / (motion @ motion) * motion
-    lines, whole = scipy.signal.welch(coarse, 100.0, nperseg=2048)
-    _, by_hand = scipy.signal.welch(made, 100.0, nperseg=2048)
-    frequencies = [3.0, 9.2, 18.0, 27.6, 36.4, 45.2]  # 36.4 and its odd harmonics, folded about 50 and 100 Hz
-    shares = distortion_power([Record([], coarse, 0.01)], frequencies, [0.3] * len(frequencies)).ravel()
-    for f, share in zip(frequencies, shares, strict=True):
-        band = np.abs(lines - f) <= 0.3
-        assert share == pytest.approx(by_hand[band].sum() / whole[band].sum(), rel=0.2, abs=0.01)
+    # 36.4 and its odd harmonics, folded about 50 and 100 Hz
+    compare_by_hand(motion, coarse, [3.0, 9.2, 18.0, 27.6, 36.4, 45.2])
 
 
 def resonance(force, frequency, damping):

@@ -22,17 +22,19 @@ from modal.sections.validation import Provenance
 
 
 @pytest.fixture
-def mast():
+def tower():
+    """Four nodes on a mast 6 m high, each floor's sensor along Y."""
     return Geometry(
         node_names=("0", "1", "2", "3"),
-        positions=[[0.0, 0.0, k] for k in range(4)],
+        positions=[[1.0, 1.0, 2.0 * k] for k in range(4)],
         lines=((0, 1, 2, 3),),
-        sensors=tuple(Sensor(name=f"floor_{k}", node=k, direction=[1, 0, 0]) for k in (1, 2, 3)),
+        sensors=tuple(Sensor(name=f"floor_{k}", node=k, direction=[0, 1, 0]) for k in (1, 2, 3)),
+        fixed=(0,),
     )
 
 
-def test_shapes_stand_on_the_geometry_where_there_is_one(identification, mast):
-    alone, placed = draw_pictures(identification), draw_pictures(identification, Setting(geometry=mast))
+def test_shapes_stand_on_the_geometry_where_there_is_one(identification, tower):
+    alone, placed = draw_pictures(identification), draw_pictures(identification, Setting(geometry=tower))
     assert "without the geometry of the structure" in alone["shapes"].caption
     assert "on the geometry" in placed["shapes"].caption
     assert "geometry" not in alone
@@ -95,18 +97,6 @@ def test_limits_are_weighed(identification, least, state):
     assert [one.state for one in weighed.outcomes] == [state]
     assert setting_of(identification, quality=object()).outcomes == ()
     assert pictures.NOTHING_BESIDES.outcomes == ()
-
-
-@pytest.fixture
-def tower():
-    """Four nodes on a mast 6 m high, each floor's sensor along Y."""
-    return Geometry(
-        node_names=("0", "1", "2", "3"),
-        positions=[[1.0, 1.0, 2.0 * k] for k in range(4)],
-        lines=((0, 1, 2, 3),),
-        sensors=tuple(Sensor(name=f"floor_{k}", node=k, direction=[0, 1, 0]) for k in (1, 2, 3)),
-        fixed=(0,),
-    )
 
 
 def test_nodes_and_deflections_are_those_of_the_geometry(identification, tower):

@@ -19,11 +19,18 @@ from okid.record import Record
 DT = 0.02
 
 
+def storeys(masses, springs, dampers, dt=DT):
+    """A chain that is driven at the second mass and seen at the first two."""
+    matrices = systems.chain_matrices(masses, springs, dampers)
+    return systems.structure(*matrices, force_dofs=[1], sensor_dofs=[0, 1], sensor_kinds="displacement", dt=dt)
+
+
 def two_storeys(dt=DT):
-    mass, damping, stiffness = systems.chain_matrices([1.0, 1.0], [400.0, 300.0], [0.8, 0.6])
-    return systems.structure(
-        mass, damping, stiffness, force_dofs=[1], sensor_dofs=[0, 1], sensor_kinds="displacement", dt=dt
-    )
+    return storeys([1.0, 1.0], [400.0, 300.0], [0.8, 0.6], dt)
+
+
+HUNG_ON = storeys([1.0, 1.0, 0.15], [400.0, 300.0, 45.0], [0.8, 0.6, 0.1])
+"""A third mass of 0.15 hung on the second by a spring of 45, unknown to the program."""
 
 
 def linear(inputs):
@@ -162,12 +169,7 @@ def test_a_force_inside_is_added_as_a_difference():
 
 
 def hung_on(inputs):
-    """A third mass of 0.15 hung on the second by a spring of 45, unknown to the program."""
-    mass, damping, stiffness = systems.chain_matrices([1.0, 1.0, 0.15], [400.0, 300.0, 45.0], [0.8, 0.6, 0.1])
-    truth = systems.structure(
-        mass, damping, stiffness, force_dofs=[1], sensor_dofs=[0, 1], sensor_kinds="displacement", dt=DT
-    )
-    return systems.simulate(truth, inputs)
+    return systems.simulate(HUNG_ON, inputs)
 
 
 def test_what_no_effect_explains_gets_a_linear_model():
@@ -182,15 +184,8 @@ def test_what_no_effect_explains_gets_a_linear_model():
     left = fresh.outputs - found.model(fresh).outputs
     assert (left.std(axis=0) < 0.3 * (fresh.outputs - linear(fresh.inputs)).std(axis=0)).all()
     # 2.757 Hz is sqrt(45 / 0.15) / 2 pi: where the absorber takes the motion away, beside the program's own modes
-    truth = systems.structure(
-        *systems.chain_matrices([1.0, 1.0, 0.15], [400.0, 300.0, 45.0], [0.8, 0.6, 0.1]),
-        force_dofs=[1],
-        sensor_dofs=[0, 1],
-        sensor_kinds="displacement",
-        dt=DT,
-    )
     poles = np.log(np.linalg.eigvals(found.model.residual.A).astype(complex)) / DT
-    nearest = [np.abs(poles - pole).min() / np.abs(pole) for pole in truth.poles]
+    nearest = [np.abs(poles - pole).min() / np.abs(pole) for pole in HUNG_ON.poles]
     assert min(nearest) < 0.01
 
 
