@@ -22,6 +22,7 @@ from modal.modes.mode import Choice
 from okid.arrays import BoolArray, FloatArray
 from okid.errors import InvalidDataError
 from okid.record import Record
+from okid.rows import runs_of
 
 RecordKind = Literal["driven", "transient", "decay", "ambient", "response"]
 """What a call of `modal.identify` is given."""
@@ -198,6 +199,20 @@ def acting_rows(records: Sequence[Record]) -> list[BoolArray]:
         np.reshape(np.array(columns, dtype=np.bool_), (len(columns), record.n_samples)).T
         for columns, record in zip(found, records, strict=True)
     ]
+
+
+def widened(rows: BoolArray) -> BoolArray:
+    """Each run of rows by its own length on either side, which lets the ends of a blow in.
+
+    Example:
+        >>> widened(np.array([[0, 0, 0, 1, 1, 0, 0, 0]], dtype=bool).T).ravel().astype(int).tolist()
+        [0, 1, 1, 1, 1, 1, 1, 0]
+    """
+    wider = rows.copy()
+    for own, column in zip(wider.T, rows.T, strict=True):
+        for first, last in runs_of(column):
+            own[max(0, 2 * first - last) : 2 * last - first] = True
+    return wider
 
 
 def acting_in(records: Sequence[Record]) -> list[BoolArray]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from modal.modes.mode import Choice
 from modal.wording.text import counted, hertz, listed, percent
-from okid.arrays import BoolArray, FloatArray
+from okid.arrays import TINY, BoolArray, FloatArray
 from okid.record import Record
 from okid.rows import runs_of
 
@@ -63,13 +63,25 @@ def machine_lines(records: Sequence[Record]) -> MachineLines:
     """
     if records[0].n_inputs:
         return MachineLines(records=tuple(records), frequencies=np.empty(0))
-    freed, found, share = [], [], 0.0
+    freed: list[Record] = []
+    found: list[float] = []
+    share = 0.0
     for record in records:
         values, lines = _without_sinusoids(record.outputs, record.dt)
         freed.append(replace(record, outputs=values) if lines else record)
         found += lines
-        before, after = (np.nansum(np.square(one), axis=0) for one in (record.outputs, values))
-        share = max(share, float(np.max(1.0 - after / np.maximum(before, np.finfo(float).tiny))))
+        share = max(share, share_taken(record, values))
+    why = (
+        f"one sinusoid leaves at most {percent(MOST_LEFT)} of its power within {WITHIN} resolutions of each, which it "
+        "does of no mode under noise"
+    )
+    return lines_taken_off(records, freed, found, share, why)
+
+
+def lines_taken_off(
+    records: Sequence[Record], freed: Sequence[Record], found: Sequence[float], share: float, why: str
+) -> MachineLines:
+    """What was taken off in words: lines [Hz] that were found, up to a share of an output's power, and why."""
     if not found:
         return MachineLines(records=tuple(records), frequencies=np.empty(0))
     apart = MAIN_LOBE / min(record.duration for record in records)
@@ -88,12 +100,17 @@ def machine_lines(records: Sequence[Record]) -> MachineLines:
             Choice(
                 what="machine lines",
                 value=f"taken off at {shown}",
-                reason=f"one sinusoid leaves at most {percent(MOST_LEFT)} of its power within {WITHIN} resolutions of "
-                "each, which it does of no mode under noise",
+                reason=why,
             ),
         ),
         warnings=(sentence,),
     )
+
+
+def share_taken(record: Record, values: FloatArray) -> float:
+    """The largest share of an output's power that these values lack."""
+    before, after = (np.nansum(np.square(one), axis=0) for one in (record.outputs, values))
+    return float(np.max(1.0 - after / np.maximum(before, TINY)))
 
 
 def lines_in_words(lines: FloatArray, apart: float) -> str:

@@ -23,7 +23,7 @@ import scipy
 from modal.estimation.cross_validation import scaled_record
 from modal.modes.mode import Choice
 from modal.preparation.delay import MOST_LEAD, lead_of
-from modal.preparation.kind import acting_rows, acts, variance
+from modal.preparation.kind import acting_rows, acts, variance, widened
 from modal.preparation.quick_model import quick_model
 from okid.arrays import TINY, BoolArray, FloatArray
 from okid.record import Record
@@ -199,7 +199,7 @@ def _above_rest(records: Sequence[Record]) -> list[BoolArray]:
     A hundredth of a blow may be a hundred times the noise of its sensor: a filter rings on, and what it rings is force.
     """
     beyond = scipy.special.chdtri(1.0, CHANCE / sum(record.n_samples for record in records))
-    found = [_widened(acting) for acting in acting_rows(records)]
+    found = [widened(acting) for acting in acting_rows(records)]
     for above, record in zip(found, records, strict=True):
         squares = np.square(np.nan_to_num(record.inputs))
         n_above = -1
@@ -224,7 +224,7 @@ def _rings_before(records: Sequence[Record]) -> bool:
     near: list[FloatArray] = []
     far: list[FloatArray] = []
     for record, acting in zip(records, acting_rows(records), strict=True):
-        for values, own, wide in zip(record.inputs.T, acting.T, _widened(acting).T, strict=True):
+        for values, own, wide in zip(record.inputs.T, acting.T, widened(acting).T, strict=True):
             blows = runs_of(wide) if own.any() else []
             close = np.zeros(len(own), dtype=np.bool_)
             shortly, before = np.zeros_like(close), -2 * MOST_LEAD
@@ -253,20 +253,6 @@ def _noise_left_out(record: Record, window: Record) -> FloatArray:
     left_out = record.inputs - window.inputs
     power: FloatArray = np.square(left_out).sum(axis=0) / np.maximum(1, (left_out != 0.0).sum(axis=0))
     return power
-
-
-def _widened(rows: BoolArray) -> BoolArray:
-    """Each run of rows by its own length on either side, which lets the ends of a blow in.
-
-    Example:
-        >>> _widened(np.array([[0, 0, 0, 1, 1, 0, 0, 0]], dtype=bool).T).ravel().astype(int).tolist()
-        [0, 1, 1, 1, 1, 1, 1, 0]
-    """
-    wider = rows.copy()
-    for own, column in zip(wider.T, rows.T, strict=True):
-        for first, last in runs_of(column):
-            own[max(0, 2 * first - last) : 2 * last - first] = True
-    return wider
 
 
 def _rests(record: Record, first: int) -> bool:

@@ -28,6 +28,7 @@ from modal.preparation.drift import (
 )
 from modal.preparation.faults import Mended, mended, no_finer_than_sensors
 from modal.preparation.filling import Filling, fill_where_needed, holds_filled
+from modal.preparation.hum import lines_beside_blows
 from modal.preparation.integrators import choose_integrators, given_integrators, with_integrators
 from modal.preparation.kind import RecordKind, acts
 from modal.preparation.lines import MachineLines, machine_lines
@@ -157,10 +158,8 @@ def prepare(
         raise InvalidDataError(f'missing must be "fill" or "leave", but is {missing!r}.')
     mend = mended(records, driven=kind == "driven" and first.n_inputs > 0) if mend is None else mend
     parts, gaps = _parts(mend.records)
-    rested = with_rest(parts) if kind in ("transient", "decay") else None
-    centred = tuple(one.detrended() for one in parts) if rested is None else rested.records
-    centred, floor = no_finer_than_sensors(centred) if kind == "ambient" else (centred, ())
-    lines = machine_lines(centred) if rested is None else MachineLines(records=centred, frequencies=np.empty(0))
+    lines, rested, floor = _about_rest_without_lines(parts, kind)
+    centred = lines.records
     filling = _filling(lines.records, missing)
     trials = FreedTrials.of(filling.records)
     integrating = choose_integrators(filling.records, trials=trials) if given is None else given
@@ -226,6 +225,21 @@ def prepare(
         n_rest=tuple(max(0, n - late) for n in n_rest),
         at_rest=np.zeros((len(own), first.n_inputs)) if rested is None or number else rested.at_rest / factor,
     )
+
+
+def _about_rest_without_lines(
+    records: tuple[Record, ...], kind: RecordKind
+) -> tuple[MachineLines, Rested | None, tuple[Choice, ...]]:
+    """Records about their mean or level at rest, less lines that stand in them; what rests; the sensors' floor."""
+    if kind in ("transient", "decay"):
+        none = MachineLines(records=records, frequencies=np.empty(0))
+        lines = lines_beside_blows(records) if kind == "transient" else none
+        rested = with_rest(lines.records)
+        return replace(lines, records=rested.records), rested, ()
+    centred, floor = tuple(one.detrended() for one in records), tuple[Choice, ...]()
+    if kind == "ambient":
+        centred, floor = no_finer_than_sensors(centred)
+    return machine_lines(centred), None, floor
 
 
 def _measured_share(filling: Filling, rested: Rested | None) -> float:
