@@ -53,9 +53,9 @@ FADED = 0.2
 """Let a mode on a line explain no stretch at whose end more than this is left of it: it may be the line."""
 MOST_DECAYS = 2e7
 """Fit no more values of decays than this in a stretch; longer ones tell of lines without."""
-MOST_ROUNDS = 5
+MOST_ROUNDS = 8
 """Take lines off and fit a first model to the rest so often at most,"""
-SETTLED = 3e-4
+SETTLED = 3e-5
 """or until no line changes by more than this share of an output's size."""
 
 
@@ -169,7 +169,7 @@ def _in_any(known: Sequence[Sequence[_Line]], left: Sequence[_Left], apart: floa
         others = {line.cycles: line.apart for j, lines in enumerate(found) for line in lines if j != i}
         for cycles, near in others.items():
             if all(abs(cycles - line.cycles) > near for line in found[i]):
-                line = _line_near(own.without(found[i]), cycles, near, apart=apart, told_by=0)
+                line = _line_near(own.without(found[i]), cycles, near, apart=MOST_APART, told_by=0)
                 found[i] = found[i] if line is None else [*found[i], line]
     return found
 

@@ -38,9 +38,9 @@ so few rows of its noise do by chance,"""
 NEGLIGIBLE = 0.01
 """or no more than this share of what the blow makes, a ten-thousandth of its power,"""
 CHANCE = 1e-3
-"""and, where there are enough of them, not less like white noise than this often by chance."""
+"""and, where there are enough of them to ask, not less like white noise than this often by chance."""
 N_LAGS = 5
-"""Lags of that test."""
+"""Lags of that test, which is asked of more rows than these."""
 LONGEST = 256
 """Put no more rows in front: no observer that is tried looks back further."""
 RELEASED = Choice(
@@ -273,7 +273,7 @@ def _rests(record: Record, first: int) -> bool:
     )
     if (np.sqrt(np.nansum(np.square(before), axis=0) / n_before) > least).any():
         return False
-    return first < ENOUGH or _looks_white(before)
+    return first <= N_LAGS or _looks_white(before)
 
 
 def _looks_white(values: FloatArray) -> bool:

@@ -37,13 +37,26 @@ def test_rest_is_put_in_front(at, noise):
     np.testing.assert_allclose(record.outputs[n_rest + at :][:1000, 0], answer, atol=5 * noise + 1e-4)
 
 
-@pytest.mark.parametrize("at", [1, pytest.param(2, marks=pytest.mark.slow), 4])
+@pytest.mark.parametrize("at", [1, pytest.param(2, marks=pytest.mark.slow), 4, 10])
 def test_a_few_rows_of_noise_are_rest(at):
     """One value of noise in twenty is beyond two deviations: a tenth of all records with a blow in row 1 or 2."""
     resting = [with_rest([struck(at, noise=0.03, seed=seed)]).n_rest[0] > 0 for seed in range(300)]
     moving = [with_rest([struck(at, noise=0.03, before=0.3, seed=seed)]).n_rest[0] > 0 for seed in range(300)]
     assert np.mean(resting) > 0.98
     assert np.mean(moving) < 0.05
+
+
+def test_a_few_rows_that_hum_are_no_rest():
+    """What hums throughout is no louder before the blow than anywhere, but it is not white."""
+    rows = np.arange(2000)[:, np.newaxis]
+    moving = []
+    for seed in range(50):
+        rng = np.random.default_rng(seed)
+        record = struck(16)
+        hum = 0.05 * np.sin(0.9 * rows + rng.uniform(0.0, 2.0 * np.pi, 3))
+        noise = 0.01 * rng.standard_normal((2000, 3))
+        moving.append(with_rest([Record(record.inputs, record.outputs + hum + noise, record.dt)]).n_rest[0])
+    assert np.mean(np.array(moving) > 0) < 0.1
 
 
 @pytest.mark.parametrize("noise", [0.001, 0.01])

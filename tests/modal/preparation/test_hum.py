@@ -1,0 +1,93 @@
+"""Mains in the cables of a struck structure, and modes that ring nearly as steadily."""
+
+import numpy as np
+from systems import modal_system, simulate, three_modes
+
+from modal.identification.pipeline import identify
+from modal.preparation.hum import lines_beside_blows
+from okid.record import Record
+
+FREQUENCIES = (13.0, 39.0)
+
+
+def struck(rng, truth, *, starts, hum=0.0, noise=1e-3, n=3000):
+    """A record of blows of three rows, and what hums in it; sizes relative to the largest output."""
+    u = np.zeros((n, truth.n_inputs))
+    for first in starts:
+        u[first : first + 3] = np.outer([0.5, 1.0, 0.4], rng.uniform(0.5, 1.5, truth.n_inputs))
+    y = simulate(truth, u)
+    size = y.std()
+    time = truth.dt * np.arange(n)[:, np.newaxis]
+    standing = np.zeros_like(y)
+    for share, frequency in zip((hum, 0.3 * hum), FREQUENCIES, strict=True):
+        phases = rng.uniform(0.0, 2.0 * np.pi, truth.n_outputs)
+        standing += share * size * rng.uniform(0.5, 1.0, truth.n_outputs) * np.sin(2 * np.pi * frequency * time + phases)
+    y += standing + noise * size * rng.standard_normal(y.shape)
+    return Record(u, y, truth.dt), standing, noise * size
+
+
+def test_a_line_is_taken_off_as_exactly_as_noise_lets_it():
+    """What is left of it is a fifth of the noise at most, beside modes, with few rows before the blow or many."""
+    for seed in range(6):
+        rng, truth = three_modes(seed)
+        made = [struck(rng, truth, starts=starts, hum=0.03) for starts in ((60, 1400), (25,), (400, 1100, 2200))]
+        found = lines_beside_blows([record for record, *_ in made])
+        np.testing.assert_allclose(found.frequencies, FREQUENCIES, atol=2e-3)
+        for freed, (record, standing, noise) in zip(found.records, made, strict=True):
+            left = freed.outputs - (record.outputs - standing)
+            assert np.sqrt(np.square(left).mean(axis=0)).max() < 0.2 * noise
+
+
+def test_records_without_a_line_stay_the_very_ones():
+    rng, truth = three_modes(0)
+    records = tuple(struck(rng, truth, starts=(60, 1400))[0] for _ in range(2))
+    found = lines_beside_blows(records)
+    assert found.records == records
+    assert not found.choices
+
+
+def test_a_mode_that_hardly_decays_is_no_line():
+    """Nothing of it is there before the first blow, and each blow makes it another."""
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        truth = modal_system(rng, frequencies=(7.0, 17.0, 29.0), damping_ratios=(1e-3, 3e-5, 1e-4), n_outputs=2)
+        starts = ((40,), (40, 1500), (12, 900, 1800), (0, 700, 2100))[seed % 4]
+        record, *_ = struck(rng, truth, starts=starts)
+        assert not lines_beside_blows([record]).frequencies.size, (seed, starts)
+
+
+def test_one_blow_in_the_first_row_leaves_a_line_alone():
+    """A mode that does not decay would look the same, and nothing tells which of both it is."""
+    rng, truth = three_modes(3)
+    record, *_ = struck(rng, truth, starts=(0,), hum=0.03)
+    assert not lines_beside_blows([record]).frequencies.size
+
+
+def test_a_record_that_tells_a_line_tells_it_for_the_others():
+    rng, truth = three_modes(4)
+    made = [struck(rng, truth, starts=starts, hum=0.03) for starts in ((0,), (300,))]
+    found = lines_beside_blows([record for record, *_ in made])
+    first, (record, standing, noise) = found.records[0], made[0]
+    assert np.abs(first.outputs - (record.outputs - standing)).std() < 0.2 * noise
+
+
+def test_missing_samples_stay_missing():
+    rng, truth = three_modes(5)
+    record, standing, noise = struck(rng, truth, starts=(300, 1400), hum=0.03)
+    outputs = record.outputs.copy()
+    gone = rng.random(outputs.shape) < 0.01
+    outputs[gone] = np.nan
+    (freed,) = lines_beside_blows([Record(record.inputs, outputs, record.dt)]).records
+    np.testing.assert_array_equal(np.isnan(freed.outputs), gone)
+    left = (freed.outputs - (record.outputs - standing))[~gone]
+    assert np.sqrt(np.square(left).mean()) < 0.5 * noise
+
+
+def test_a_structure_struck_beside_mains_has_its_own_modes_alone():
+    rng, truth = three_modes(6)
+    records = [struck(rng, truth, starts=(first,), hum=0.03)[0] for first in (12, 60, 200)]
+    result = identify(records)
+    assert np.round([mode.frequency for mode in result.modes.system], 1).tolist() == [6.0, 6.6, 21.0]
+    assert result.realisation.order == 6
+    assert [words for words in result.warnings if "stand" not in words] == []
+    assert "13 and 39 Hz" in next(one.value for one in result.choices if one.what == "machine lines")
