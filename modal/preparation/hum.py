@@ -48,7 +48,7 @@ without the line),"""
 MOST_TREND = 0.03
 """and it grows or falls over the record by no more than this share, or three deviations,"""
 FEWEST_VALUES = 5
-"""and no stretch with so many values lacks it, nor has half of it more or less."""
+"""and no stretch with so many values lacks it, or has more or less of it by three deviations."""
 FADED = 0.2
 """Let a mode on a line explain no stretch at whose end more than this is left of it: it may be the line."""
 MOST_DECAYS = 2e7
@@ -312,7 +312,8 @@ def _told_by(left: _Left, line: _Line, apart: float) -> int:
         scale = np.sqrt(np.square(rest).mean(axis=0) + TINY)
         power = max(float(np.square(standing[late] / scale).sum()), TINY)
         more, error = float((standing[late] * rest / scale**2).sum()) / power, 1.0 / np.sqrt(power)
-        if abs(more) > max(apart, min(3.0 * error, 0.5)):
+        likelier = 0.5 + 2.0 * error**2  # so much less, and nothing is exp(2) times as likely as the line
+        if not -max(apart, min(3.0 * error, likelier)) <= more <= max(apart, 3.0 * error):
             return -1
         told += error < MOST_APART
     return told
