@@ -136,6 +136,23 @@ def test_errors_that_last_longer_than_a_block_are_not_accused():
     assert min(chances) > 1e-3
 
 
+@pytest.mark.parametrize("echo", [30, 100])
+def test_an_echo_that_the_model_lacks_is_linear(echo):
+    """A periodic force has squares and cubes alike what it was 30 samples before: chances of 1e-12 and less."""
+    told, follows, n_samples = 0, 0, 4000
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        force = np.tile(rng.standard_normal(200), n_samples // 200 + 2)
+        motion = rung(force, 5.0, 0.01) + rung(force, 17.0, 0.01)
+        outputs = motion + np.roll(force, echo) + 0.5 * rng.standard_normal(force.size)
+        record, run = (Record(force[-n_samples:], moved[-n_samples:], DT) for moved in (outputs, motion))
+        told += powers_of_motion([record], [run]).told
+        bent = Record(record.inputs, record.outputs + 0.5 * run.outputs**2, DT)
+        follows += powers_of_motion([bent], [run]).told
+    assert told == 0
+    assert bool(follows) == (echo < 80)  # what goes back further than can be asked hides it
+
+
 def test_short_records_tell_too():
     """The level of rows before was that of one row where each record began, and a few rows ruled the test."""
     force, noise = np.random.default_rng(0).standard_normal((2, 60, 110))
