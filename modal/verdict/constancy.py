@@ -19,6 +19,10 @@ sum has so many times the variance that independent ones have (an Ornstein-Uhlen
 or (1 + r) / (1 - r) times, where neighbouring blocks are alike by r and that is more: waves are, and slow drifts.
 Where the ends differ notably, no interval about their mean is one of the pole: its deviation holds both.
 
+What a model leaves that is too small, or has no poles for the edge of a filter, follows the inputs linearly at low and
+high level alike, and T of the rows of one level follows it too. So what is linear in the inputs of the last samples is
+taken off e before; what a mode that changes leaves is no such answer, but for the mean of its changes.
+
 What rings down and is not quite linear shows products of its modes, x_i x_j and x_i x_j x_k or their conjugates: these
 ring down as well, with the sums of the poles for poles (Rugh, Nonlinear System Theory, 1981, section 3.2). One record
 fits them as well as modes, and so does every part of it.
@@ -27,7 +31,7 @@ References:
     Bell, McCaffrey, Survey Methodology 28(2), 2002, 169-181 (bias and freedom of the scatter of few unequal clusters).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement
 
@@ -50,6 +54,10 @@ N_TOLD = 3
 """Tell so many numbers at either end: changes of decay rate, of angular frequency, and of the answer's size."""
 CHANCE = 0.01
 """Believe in a change where chance makes as large a one in this share of records, however many are asked."""
+REACH, ROWS_EACH = 64, 20
+"""Take off what is linear in the inputs of so many samples, or of fewer where each has not so many rows."""
+ROWS_AT_ONCE = 4096
+"""Sum so many rows at once: a long record has no copy a sample."""
 NOTABLE = 0.1
 """Speak of a change of the pole by this share of its decay rate: the spread at which damping is not to be quoted."""
 N_PARTS = 10
@@ -170,6 +178,7 @@ def _looks(
 ) -> list[_Look]:
     poles, _ = discrete_poles(modes, records[0].dt)
     shortest = max(1, sum(record.n_samples for record in records) // N_BLOCKS)
+    left = _not_linear_in_inputs(records, left)
     looks = []
     for mode, pole in zip(modes, poles, strict=True):
         if mode.kind == "oscillatory" and mode.pole.real < 0.0:
@@ -181,6 +190,34 @@ def _looks(
                     ends, t, chance = _ends(blocks, lasting)
                     looks.append(_Look(mode=mode, how=how, groups=groups, ends=ends, t=t, chance=chance))
     return looks
+
+
+def _not_linear_in_inputs(records: Sequence[Record], left: Sequence[FloatArray]) -> list[FloatArray]:
+    """(n_samples, n_outputs) a record: what is left beside an answer to the inputs of the last samples."""
+    n_whole = sum(int(np.isfinite(part).all(axis=1).sum()) for part in left)
+    reach = min(REACH, n_whole // (ROWS_EACH * records[0].n_inputs))
+    if not reach:
+        return list(left)
+    size = reach * records[0].n_inputs
+    moments, products = np.zeros((size, size)), np.zeros((size, left[0].shape[1]))
+    for record, part in zip(records, left, strict=True):
+        for rows, inputs in _of_last(record, reach):
+            whole = np.isfinite(part[rows]).all(axis=1)
+            moments += inputs[whole].T @ inputs[whole]
+            products += inputs[whole].T @ part[rows][whole]
+    answer = np.linalg.pinv(moments, hermitian=True) @ products
+    return [
+        np.vstack([part[rows] - inputs @ answer for rows, inputs in _of_last(record, reach)])
+        for record, part in zip(records, left, strict=True)
+    ]
+
+
+def _of_last(record: Record, reach: int) -> Iterator[tuple[slice, FloatArray]]:
+    """Rows, some at a time, and (n_rows, reach n_inputs) inputs of the last samples, 0 where there are none."""
+    padded = np.pad(np.nan_to_num(record.inputs), ((reach - 1, 0), (0, 0)))
+    for first in range(0, record.n_samples, ROWS_AT_ONCE):
+        n = min(ROWS_AT_ONCE, record.n_samples - first)
+        yield slice(first, first + n), np.hstack([padded[first + k : first + k + n] for k in range(reach)])
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
