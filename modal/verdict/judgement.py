@@ -46,6 +46,7 @@ from modal.verdict.probability import (
     edge_doubt,
     excitation_doubt,
     f_ratio,
+    folded_doubt,
     free_doubt,
     heavy_doubt,
     peak_doubt,
@@ -340,7 +341,7 @@ def judge(
             *excitation_doubt(n_states, excitation, own_gain),
             *undriven,
             *pole_doubts(mode, model.dt, ahead),
-            *(() if height is None else peak_doubt(mode, float(height[i]), duration)),
+            *(() if height is None else (*peak_doubt(mode, float(height[i]), duration), *folded_doubt(mode, model.dt))),
         )
         deciding: tuple[tuple[str, str], ...] = ()
         if verdict == "system" and doubts:

@@ -23,6 +23,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from modal.modes.extraction import NYQUIST_MARGIN
 from modal.modes.mode import Mode
 from modal.preparation.band import FOLLOWS
 from modal.wording.text import LEAST_FIT
@@ -147,6 +148,28 @@ def peak_doubt(mode: Mode, height: float, duration: float) -> tuple[str, ...]:
         )
         return (f"{words} six: much narrower, an undamped line or another mode",)
     return ()
+
+
+def folded_doubt(mode: Mode, dt: float) -> tuple[str, ...]:
+    """Without an input, samples do not tell a mode beside the Nyquist frequency from one as far above it.
+
+    A filter of finite order passes both nearly alike: one of order 6 at 0.4 fs leaves at 0.51 fs 0.8 of the amplitude
+    that it leaves at 0.49 fs. What is measured of an input passes the same filter, and its phase tells them apart.
+
+    Example:
+        >>> one = np.ones(1)
+        >>> pole = complex(-1.0, 2 * np.pi * 49)
+        >>> mode = Mode(
+        ...     pole=pole, kind="oscillatory", frequency=49.0, damping_ratio=0.003, shape=one, participation=one
+        ... )
+        >>> folded_doubt(mode, 0.01)[0].split(":")[0], folded_doubt(mode, 0.009)
+        ('51 Hz folded at the Nyquist frequency would look the same', ())
+    """
+    frequency, nyquist = abs(mode.pole.imag) / (2.0 * np.pi), 0.5 / dt
+    if mode.kind != "oscillatory" or frequency < (1.0 - NYQUIST_MARGIN) * nyquist:
+        return ()
+    words = f"{2.0 * nyquist - frequency:.4g} Hz folded at the Nyquist frequency would look the same"
+    return (f"{words}: sample faster, or behind a filter that ends well below {nyquist:.4g} Hz",)
 
 
 def delay_doubt(mode: Mode, dt: float, ahead: int = 0) -> tuple[str, ...]:

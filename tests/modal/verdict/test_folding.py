@@ -1,0 +1,27 @@
+"""Ambient motion behind a filter: what stands above the Nyquist frequency is folded below it."""
+
+import numpy as np
+import pytest
+from scipy.signal import butter, lfilter, sosfilt
+
+import modal
+from okid.record import Record
+
+OVER = 8
+"""Simulate at so many times 100 Hz, filter, and take every so-manieth sample."""
+
+
+@pytest.mark.parametrize(("frequency", "seen", "sure"), [(51.0, 49.0, False), (44.0, 44.0, True)])
+def test_a_mode_beside_the_nyquist_frequency_is_no_certain_one(frequency, seen, sure):
+    """51 Hz through a Butterworth filter of order 6 at 40 Hz was a certain mode at 49 Hz, at 0.99."""
+    force = np.random.default_rng(1).standard_normal((OVER * 5000, 2))
+    motion = np.zeros_like(force)
+    for at, shape in ((12.0, (1.0, 0.6)), (frequency, (0.7, -1.0))):
+        pole = np.exp(2 * np.pi * at * complex(-0.003, 1.0) / (100 * OVER))
+        own = lfilter([0.0, 1.0], [1.0, -2 * pole.real, abs(pole) ** 2], force @ np.array(shape))
+        motion += np.outer(own / own.std(), shape)
+    filtered = sosfilt(butter(6, 40.0, fs=100 * OVER, output="sos"), motion, axis=0)[::OVER]
+    outputs = filtered + 0.005 * filtered.std() * np.random.default_rng(2).standard_normal(filtered.shape)
+    found = [mode for mode in modal.identify(Record([], outputs, 0.01)).modes if abs(mode.frequency - seen) < 0.3]
+    assert [mode.verdict for mode in found if mode.verdict != "noise"] == ["system" if sure else "doubtful"]
+    assert any("Hz folded" in mode.reason for mode in found) != sure
