@@ -46,6 +46,9 @@ MOST_NUMBERS = 2500
 """Make a Gram matrix of no more columns; of many channels the past is shorter."""
 OTHER_PAST = 4
 """Look for so many samples of the outputs' past in it: a controller answers at once."""
+OLD_PAST, OLD_RIDGE = 24, 1e-6
+"""Foretell these, where older ones are asked, from so many of an output, twelve modes; with a ridge of this share of
+their mean power, as what filters leave near half of the sampling frequency has next to none."""
 SEGMENT = 256
 """Look for the floor of an input's spectrum in segments of so many samples: 128 lines show an empty part of it."""
 EMPTY, LEAST_EMPTY = 1e-3, 0.05
@@ -59,11 +62,12 @@ FORETOLD = 0.01
 """Ask nothing of inputs of which their own past leaves less than this share of the power, a tenth of their size."""
 
 
-def feedback_p_value(records: Sequence[Record]) -> float:
+def feedback_p_value(records: Sequence[Record], *, older: int = 0) -> float:
     """How often records without feedback look as much like it; nan where the inputs cannot be asked.
 
     Args:
         records: as measured: a filter that looks ahead makes the past of the outputs know the inputs.
+        older: samples; of the outputs' last ones only what samples before these foretell is asked.
 
     Example:
         >>> rng = np.random.default_rng(1)
@@ -77,9 +81,10 @@ def feedback_p_value(records: Sequence[Record]) -> float:
     told = _Told.of(records)
     if told is None:
         return float("nan")
+    told = told.by_older(records, older) if older else told
     left, m, q = told.left, told.n_inputs, told.n_outputs
     power, n_rows = np.diag(left)[:m], told.n_rows - told.own * m - 1
-    if (power <= FORETOLD * told.power).any():
+    if n_rows <= told.own * m or (power <= FORETOLD * told.power).any():
         return float("nan")
     least, denoised = 1.0, told.denoised(records)
     for j in range(q):
@@ -243,19 +248,35 @@ class _Told:
         scaling = channel_scaling(records)
         longest = lag_gram(records, min(most, LONGER[-1] * OWN_PAST), scaling=scaling)
         told = [
-            cls._from(longest.truncated(own), scaling)
+            cls._from(longest.truncated(own), scaling, own=own, lags_asked=range(1, OTHER_PAST + 1))
             for own in (min(times * least, longest.order) for times in LONGER)
         ]
         told = [one for one in told if one.n_rows > 2 * len(one.weights)]  # where samples are missing few are whole
         return min(told, key=lambda one: one.criterion, default=None)
 
+    def by_older(self, records: Sequence[Record], older: int) -> "_Told":
+        """With what the samples of each output before the last `older` foretell of its last ones in their place."""
+        m, q, scaling = self.n_inputs, self.n_outputs, self.scaling
+        gram = lag_gram(records, max(self.own, older + OLD_PAST), scaling=scaling)
+        lags_asked = [*range(1, OTHER_PAST + 1), *range(older + 1, older + OLD_PAST + 1)]
+        told = self._from(gram, scaling, own=self.own, lags_asked=lags_asked)
+        foretell = np.zeros((m + q * OTHER_PAST, len(told.left)))
+        foretell[:m, :m] = np.eye(m)
+        for j in range(q):
+            last = m + j + q * np.arange(OTHER_PAST)
+            old = m + j + q * np.arange(OTHER_PAST, OTHER_PAST + OLD_PAST)
+            within, onto = told.left[np.ix_(old, old)], told.left[np.ix_(old, last)]
+            ridge = max(OLD_RIDGE * np.trace(within) / OLD_PAST, np.finfo(float).tiny)
+            foretell[np.ix_(last, old)] = np.linalg.solve(within + ridge * np.eye(OLD_PAST), onto).T
+        return replace(told, left=foretell @ told.left @ foretell.T)
+
     @classmethod
-    def _from(cls, gram: LagGram, scaling: ChannelScaling) -> "_Told":
-        m, q, own = gram.n_inputs, gram.n_outputs, gram.order
-        lags = 1 + (m + q) * np.arange(own + 1)[:, np.newaxis]
-        inputs = (lags + np.arange(m)).ravel()
+    def _from(cls, gram: LagGram, scaling: ChannelScaling, *, own: int, lags_asked: Sequence[int]) -> "_Told":
+        m, q = gram.n_inputs, gram.n_outputs
+        lags = 1 + (m + q) * np.arange(gram.order + 1)[:, np.newaxis]
+        inputs = (lags[: own + 1] + np.arange(m)).ravel()
+        asked = np.concatenate([inputs[:m], (lags[list(lags_asked)] + m + np.arange(q)).ravel()])
         past = np.concatenate([[0], inputs[m:]])
-        asked = np.concatenate([inputs[:m], (lags[1 : OTHER_PAST + 1] + m + np.arange(q)).ravel()])
         cross = gram.matrix[np.ix_(past, asked)]
         weights = np.linalg.lstsq(gram.matrix[np.ix_(past, past)], cross, rcond=1e-12)[0]
         left = gram.matrix[np.ix_(asked, asked)] - cross.T @ weights
