@@ -15,7 +15,7 @@ from era.kalman import check_innovations
 from era.realisation import Realisation
 from era.simulation import simulate
 from modal.estimation.cross_validation import WITHIN, Folds, Trial
-from modal.estimation.feedback import FALSE_ALARMS, feedback_p_value, from_outside
+from modal.estimation.feedback import FALSE_ALARMS, from_outside
 from modal.estimation.fits import measure_fit, model_runs
 from modal.identification.final_model import FinalModel, fit_all_rows, lack_outputs, with_deviations, with_forces
 from modal.identification.more_modes import with_undriven
@@ -46,9 +46,9 @@ from modal.preparation.delay import (
     acting_at_once,
     check_delay_word,
     delay_of_phases,
-    early_inputs,
     given_input_delay,
     late_and_early,
+    loop_p_value,
 )
 from modal.preparation.faults import Mended, free_of_clipping, living, mended
 from modal.preparation.filling import refilled
@@ -274,8 +274,8 @@ def _with_delays(
             )
         tell("fitting all rows", FITTING)
         # a few blows are no stationary input, of which the test could be asked
-        acting = early_inputs(living(several)[0], preparation.input_delay, preparation.records[0].dt)
-        suspected = kind_found.kind == "driven" and feedback_p_value(acting) < FALSE_ALARMS
+        alive = living(several)[0]
+        suspected = kind_found.kind == "driven" and loop_p_value(alive) < FALSE_ALARMS
 
         def fitted(records: Sequence[Record]) -> tuple[Search, FinalModel]:
             return fit_all_rows(
@@ -311,7 +311,7 @@ def _with_delays(
             final=final,
             wanted=found.chosen,
             white=white,
-            free=from_outside(acting) if suspected else (),
+            free=from_outside(alive) if suspected else (),
             tell=tell,
         )
 

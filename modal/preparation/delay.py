@@ -28,12 +28,13 @@ import scipy
 
 from era.realisation import Realisation
 from modal.estimation.cross_validation import LONGEST_SCORED
-from modal.estimation.feedback import FALSE_ALARMS, feedback_p_value
+from modal.estimation.feedback import FALSE_ALARMS, SEGMENT, feedback_p_value
 from modal.modes.modal_mass import DERIVATIVES, HEARD, squared_residues
 from modal.modes.mode import Choice, ModalModel
 from modal.preparation.quick_model import observer_order
 from okid.arrays import CHUNK_VALUES, ComplexArray, FloatArray, whole_number
 from okid.errors import InsufficientDataError, InvalidDataError
+from okid.frequency_response import averaged_spectra
 from okid.gram import LagGram, lag_gram
 from okid.least_squares import solve
 from okid.markov import recover_system
@@ -61,6 +62,11 @@ EVEN_ODDS = 0.05
 that are empty, and any number up to them is as likely."""
 MOST_LEAD = 40
 """Look so many samples ahead of the outputs; a lead ends in the first half of them."""
+OLDER = 3
+"""Ask outputs that are so many leads old for a loop: a lead ends where noise covers the rest."""
+EDGE, LIMITED = 0.05, 0.25
+"""Call an input limited, as by a filter, that has less than this share of its mean density in this last part of the
+band; of 72 smooth forces that outputs foretold all had less than 0.16, behind filters of the fourth order too."""
 EMPTY = 0.05
 """Part of the largest pulse response that the empty lags cannot exceed (two standard deviations): noise hides none."""
 
@@ -128,8 +134,9 @@ def with_lead(
     and the noise does not grow with the inputs. Where it does, as in records of several levels, all inputs seem to
     tell, those H + 1 to 2 H samples ahead as well: the ratio to these is F-distributed.
 
-    A controller, too, makes the inputs ahead tell of what is now. So a lead is refused where the outputs still tell
-    of the inputs after it, as in a loop. That is not asked of blows: nothing is before them that they could answer.
+    A controller, too, makes the inputs ahead tell of what is now, and a lead would hide it. So none is taken where the
+    inputs as measured follow the outputs as in a loop (`loop_p_value`). That is not asked of blows: nothing is before
+    them that they could answer.
 
     Args:
         delay: that the pulse response shows.
@@ -150,7 +157,7 @@ def with_lead(
     early = tuple(d or -lead for d in delay.samples)
     try:
         late_inputs(records, early)
-        p_value = 1.0 if before is not None else feedback_p_value(early_inputs(measured, early, records[0].dt))
+        p_value = 1.0 if before is not None else loop_p_value(measured)
     except InsufficientDataError:  # a record too short for it
         return delay
     if not p_value >= FALSE_ALARMS:  # nan where the inputs cannot be asked
@@ -161,6 +168,38 @@ def with_lead(
     )
     choice = Choice(what=delay.choice.what, value=_in_words(early, records[0]), reason=reason)
     return InputDelay(samples=early, choice=choice)
+
+
+def loop_p_value(records: Sequence[Record]) -> float:
+    """How often records without feedback look as much like it, where forces may move between their samples.
+
+    In open loop, too, outputs foretell a force that does so (`modal.estimation.feedback`). They tell of what lies ahead
+    of them then, and that ends after a few samples, the lead; and the force has little left near half of the sampling
+    frequency. Where both hold, outputs older than a few leads are asked as well: a loop answers those as long as its
+    motions ring. Of a force with all of the band, which nothing lies between the samples of, a lead is a matter of two
+    clocks, and what the outputs tell of the inputs beyond it is asked.
+
+    Args:
+        records: as measured: a lead that was taken hides a loop that answers within it.
+    """
+    p_value = feedback_p_value(records)
+    lead = lead_of(records) if p_value < FALSE_ALARMS else 0
+    if not lead:
+        return p_value
+    if _is_limited(records):
+        beyond = feedback_p_value(records, older=OLDER * lead)
+    else:
+        beyond = feedback_p_value(late_inputs(records, [-lead] * records[0].n_inputs))
+    return p_value if np.isnan(beyond) else max(p_value, beyond)
+
+
+def _is_limited(records: Sequence[Record]) -> bool:
+    """Whether some input leaves the last part of the band as empty as a filter does."""
+    n_longest = max(record.n_samples for record in records)
+    spectra = averaged_spectra(records, n_per_segment=min(SEGMENT, n_longest))
+    density = spectra.power[1:-1, : records[0].n_inputs]
+    last = density[-max(1, int(EDGE * len(density))) :]
+    return bool(spectra.n_averages and (last.mean(axis=0) < LIMITED * density.mean(axis=0)).any())
 
 
 def lead_of(records: Sequence[Record], before: int | None = None) -> int:
@@ -258,12 +297,6 @@ def late_inputs(records: Sequence[Record], samples: Sequence[int]) -> tuple[Reco
         )
         shifted.append(replace(record.samples(late, last), inputs=inputs))
     return tuple(shifted)
-
-
-def early_inputs(records: Sequence[Record], samples: Sequence[int], dt: float) -> tuple[Record, ...]:
-    """As `late_inputs`, of those alone that act early; delays in steps of `dt`, records as they came or decimated."""
-    factor = round(dt / records[0].dt)
-    return late_inputs(records, [factor * min(0, d) for d in samples])
 
 
 def late_and_early(samples: Sequence[int]) -> tuple[int, int]:
