@@ -341,7 +341,8 @@ def judge(
             *excitation_doubt(n_states, excitation, own_gain),
             *undriven,
             *pole_doubts(mode, model.dt, ahead),
-            *(() if height is None else (*peak_doubt(mode, float(height[i]), duration), *folded_doubt(mode, model.dt))),
+            *(() if height is None else peak_doubt(mode, float(height[i]), duration)),
+            *(folded_doubt(mode, model.dt) if ahead or height is not None else ()),
         )
         deciding: tuple[tuple[str, str], ...] = ()
         if verdict == "system" and doubts:

@@ -154,7 +154,8 @@ def folded_doubt(mode: Mode, dt: float) -> tuple[str, ...]:
     """Without an input, samples do not tell a mode beside the Nyquist frequency from one as far above it.
 
     A filter of finite order passes both nearly alike: one of order 6 at 0.4 fs leaves at 0.51 fs 0.8 of the amplitude
-    that it leaves at 0.49 fs. What is measured of an input passes the same filter, and its phase tells them apart.
+    that it leaves at 0.49 fs. What is measured of an input passes the same filter, and its phase tells them apart, but
+    of an input that moves between its samples part is folded as well.
 
     Example:
         >>> one = np.ones(1)
