@@ -51,7 +51,7 @@ FEWEST_VALUES = 5
 """and no stretch with so many values lacks it, or has more or less of it by three deviations."""
 FADED = 0.2
 """Let a mode on a line explain no stretch at whose end more than this is left of it: it may be the line."""
-MOST_DECAYS = 2e7
+MOST_DECAYS = 5e6
 """Fit no more values of decays than this in a stretch; longer ones tell of lines without."""
 MOST_ROUNDS = 8
 """Take lines off and fit a first model to the rest so often at most,"""
