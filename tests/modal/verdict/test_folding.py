@@ -25,3 +25,21 @@ def test_a_mode_beside_the_nyquist_frequency_is_no_certain_one(frequency, seen, 
     found = [mode for mode in modal.identify(Record([], outputs, 0.01)).modes if abs(mode.frequency - seen) < 0.3]
     assert [mode.verdict for mode in found if mode.verdict != "noise"] == ["system" if sure else "doubtful"]
     assert any("Hz folded" in mode.reason for mode in found) != sure
+
+
+@pytest.mark.parametrize(("frequency", "seen", "sure"), [(51.0, 48.9, False), (44.0, 44.0, True)])
+def test_nor_is_one_that_a_force_drives_between_its_samples(frequency, seen, sure):
+    """What is measured of the force passes the same filter, folded too, and the model looks ahead."""
+    force, motion = np.random.default_rng(1).standard_normal(OVER * 5000), np.zeros((OVER * 5000, 2))
+    for at, shape in ((12.0, (1.0, 0.6)), (frequency, (0.7, -1.0))):
+        pole = np.exp(2 * np.pi * at * complex(-0.003, 1.0) / (100 * OVER))
+        own = lfilter([0.0, 1.0], [1.0, -2 * pole.real, abs(pole) ** 2], force)
+        motion += np.outer(own / own.std(), shape)
+    sections = butter(6, 40.0, fs=100 * OVER, output="sos")
+    outputs = sosfilt(sections, motion, axis=0)[::OVER]
+    outputs = outputs + 0.005 * outputs.std() * np.random.default_rng(2).standard_normal(outputs.shape)
+    result = modal.identify(Record(sosfilt(sections, force)[::OVER], outputs, 0.01))
+    assert result.input_delay[0] < 0
+    found = [mode for mode in result.modes if abs(mode.frequency - seen) < 0.3]
+    assert [mode.verdict for mode in found if mode.verdict != "noise"] == ["system" if sure else "doubtful"]
+    assert any("Hz folded" in mode.reason for mode in found) != sure
