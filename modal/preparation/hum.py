@@ -51,6 +51,8 @@ FEWEST_VALUES = 5
 """and no stretch with so many values lacks it, or has more or less of it by three deviations."""
 FADED = 0.2
 """Let a mode on a line explain no stretch at whose end more than this is left of it: it may be the line."""
+FINEST = 1e-30
+"""Take no noise for smaller, in units of an output's power: a quantised sensor at rest has none."""
 MOST_DECAYS = 5e6
 """Fit no more values of decays than this in a stretch; longer ones tell of lines without."""
 MOST_ROUNDS = 8
@@ -203,7 +205,7 @@ def _rung(left: _Left, poles: ComplexArray, lines: Sequence[_Line]) -> _Left:
     both = np.hstack([standing, outputs])
     told = np.zeros(len(outputs), dtype=np.bool_)
     for first, last in left.free:
-        near = np.abs(np.angle(poles)[:, np.newaxis] / (2.0 * np.pi) - cycles) * (last - first) < 2.0
+        near = np.abs(np.angle(poles)[:, np.newaxis] / (2.0 * np.pi) - cycles) * (last - first) < MAIN_LOBE
         own = poles[(np.abs(poles) ** (last - first) < FADED) | ~near.any(axis=1)]
         if not first or not 8 * own.size < last - first < MOST_DECAYS / max(1, 4 * own.size):
             continue
@@ -260,9 +262,11 @@ def _line_near(left: _Left, peak: float, near: float, *, apart: float, told_by: 
     sizes, noise = _parts(left.values, cycles, n_rows)
     size, weights = _robust_mean(sizes, noise)
     strongest = int((np.square(np.abs(size)) * weights.sum(axis=0)).argmax())
-    own, power = sizes[:, strongest] / size[strongest], float(np.square(np.abs(size[strongest])))
+    power = float(np.square(np.abs(size[strongest])))
     sure = power * weights[:, strongest]
-    if abs(cycles - peak) > near or sure.sum() < CERTAIN or not _keeps(own, noise[:, strongest] / power, sure, apart):
+    if abs(cycles - peak) > near or sure.sum() < CERTAIN:
+        return None
+    if not _keeps(sizes[:, strongest] / size[strongest], noise[:, strongest] / power, sure, apart):
         return None
     error = float((1.0 / weights.sum(axis=0)).sum())
     line = _Line(cycles=cycles, apart=MAIN_LOBE / len(left.values), size=size, error=error)
@@ -280,9 +284,10 @@ def _frequency(values: FloatArray, cycles: float, n_rows: int) -> float:
         sizes, noise = _parts(values, cycles, n_rows)
         size, weights = _robust_mean(sizes, noise)
         shares = weights * np.square(np.abs(size))
-        late = middles[:, np.newaxis] - (shares * middles[:, np.newaxis]).sum(axis=0) / shares.sum(axis=0)
+        whole = np.maximum(shares.sum(axis=0), TINY)  # of an output that does not move there is none
+        late = middles[:, np.newaxis] - (shares * middles[:, np.newaxis]).sum(axis=0) / whole
         turns = np.angle(sizes * size.conj()) / (2.0 * np.pi)
-        cycles += float((shares * late * turns).sum() / (shares * late * late).sum())
+        cycles += float((shares * late * turns).sum() / max((shares * late * late).sum(), TINY))
     return cycles
 
 
@@ -329,7 +334,7 @@ def _parts(values: FloatArray, cycles: float, n_rows: int) -> tuple[ComplexArray
     spectra = waves @ values[: N_PARTS * n_rows].reshape(N_PARTS, n_rows, -1)
     begins = np.exp(-2j * np.pi * cycles * n_rows * np.arange(N_PARTS))[:, np.newaxis]
     noise = np.square(np.abs(spectra[:, 1:])).mean(axis=1)
-    return begins * spectra[:, 0], np.maximum(noise, TINY)
+    return begins * spectra[:, 0], np.maximum(noise, FINEST)
 
 
 def _robust_mean(sizes: ComplexArray, noise: FloatArray) -> tuple[ComplexArray, FloatArray]:

@@ -1,6 +1,7 @@
 """Mains in the cables of a struck structure, and modes that ring nearly as steadily."""
 
 import numpy as np
+import pytest
 from systems import modal_system, simulate, three_modes
 
 from modal.identification.pipeline import identify
@@ -10,7 +11,7 @@ from okid.record import Record
 FREQUENCIES = (13.0, 39.0)
 
 
-def struck(rng, truth, *, starts, hum=0.0, noise=1e-3, n=3000):
+def struck(rng, truth, *, starts, hum=0.0, noise=1e-3, n=3000, frequencies=FREQUENCIES):
     """A record of blows of three rows, and what hums in it; sizes relative to the largest output."""
     u = np.zeros((n, truth.n_inputs))
     for first in starts:
@@ -19,7 +20,7 @@ def struck(rng, truth, *, starts, hum=0.0, noise=1e-3, n=3000):
     size = y.std()
     time = truth.dt * np.arange(n)[:, np.newaxis]
     standing = np.zeros_like(y)
-    for share, frequency in zip((hum, 0.3 * hum), FREQUENCIES, strict=True):
+    for share, frequency in zip((hum, 0.3 * hum), frequencies, strict=True):
         phases = rng.uniform(0.0, 2.0 * np.pi, truth.n_outputs)
         standing += (
             share * size * rng.uniform(0.5, 1.0, truth.n_outputs) * np.sin(2 * np.pi * frequency * time + phases)
@@ -40,6 +41,20 @@ def test_a_line_is_taken_off_as_exactly_as_noise_lets_it():
             assert np.sqrt(np.square(left).mean(axis=0)).max() < 0.2 * noise
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_line_beside_a_mode_is_told_from_it(seed):
+    """7.3 Hz stands out of nothing beside what rings at 6.6 Hz, until between blows each mode rings as it may."""
+    rng, truth = three_modes(seed)
+    made = [
+        struck(rng, truth, starts=starts, hum=0.03, frequencies=(7.3, 39.0))
+        for starts in ((60, 1400), (200, 1100, 2200))
+    ]
+    found = lines_beside_blows([record for record, *_ in made])
+    for freed, (record, standing, noise) in zip(found.records, made, strict=True):
+        left = freed.outputs - (record.outputs - standing)
+        assert np.sqrt(np.square(left).mean(axis=0)).max() < 0.2 * noise
+
+
 def test_records_without_a_line_stay_the_very_ones():
     rng, truth = three_modes(0)
     records = tuple(struck(rng, truth, starts=(60, 1400))[0] for _ in range(2))
@@ -58,6 +73,15 @@ def test_a_mode_that_hardly_decays_is_no_line():
         assert not lines_beside_blows([record]).frequencies.size, (seed, starts)
 
 
+@pytest.mark.parametrize("seed", [6, 8, 21, 23])
+def test_nor_is_one_that_several_blows_keep_going(seed):
+    """It is there throughout, but each blow makes it another, and it falls until the next."""
+    rng = np.random.default_rng(seed)
+    truth = modal_system(rng, frequencies=(7.0, 17.0, 29.0), damping_ratios=(1e-3, 3e-5, 1e-4), n_outputs=2)
+    records = [struck(rng, truth, starts=starts)[0] for starts in ((0, 700, 1400, 2100), (0, 1500))]
+    assert not lines_beside_blows(records).frequencies.size
+
+
 def test_one_blow_in_the_first_row_leaves_a_line_alone():
     """A mode that does not decay would look the same, and nothing tells which of both it is."""
     rng, truth = three_modes(3)
@@ -71,6 +95,19 @@ def test_a_record_that_tells_a_line_tells_it_for_the_others():
     found = lines_beside_blows([record for record, *_ in made])
     first, (record, standing, noise) = found.records[0], made[0]
     assert np.abs(first.outputs - (record.outputs - standing)).std() < 0.2 * noise
+
+
+def test_a_sensor_that_is_dead_or_rests_at_one_level_is_no_trouble():
+    rng, truth = three_modes(5)
+    record, *_ = struck(rng, truth, starts=(300, 1700))
+    outputs = record.outputs.copy()
+    outputs[:, 0] = 0.0
+    step = 0.02 * outputs[:, 1].std()
+    outputs[:, 1:] = step * np.round(outputs[:, 1:] / step)
+    outputs[:, 2] += step * np.round(3.0 * np.sin(2 * np.pi * 0.13 * np.arange(3000.0)))
+    with np.errstate(all="raise"):
+        (freed,) = lines_beside_blows([Record(record.inputs, outputs, record.dt)]).records
+    np.testing.assert_array_equal(freed.outputs[:, 0], 0.0)
 
 
 def test_missing_samples_stay_missing():
