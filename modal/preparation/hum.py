@@ -22,6 +22,7 @@ from modal.estimation.free_run import filled, run_from_rest
 from modal.preparation.kind import acting_rows, widened
 from modal.preparation.lines import MAIN_LOBE, MachineLines, blackman_harris, line_bins, lines_taken_off, share_taken
 from modal.preparation.quick_model import observer_order, quick_model
+from modal.preparation.rest import after_rest
 from okid.arrays import ROUNDED, TINY, ComplexArray, FloatArray
 from okid.record import Record
 from okid.rows import runs_of
@@ -45,14 +46,10 @@ BY_CHANCE = 1e-3
 APART, MOST_APART = 0.03, 0.3
 """or more than half of them by no more than this share of it (the second only beside a model that is to be made
 without the line),"""
-MOST_TREND = 0.03
-"""and it grows or falls over the record by no more than this share, or three deviations,"""
 FEWEST_VALUES = 5
 """and no stretch with so many values lacks it, or has more or less of it by three deviations."""
 FADED = 0.2
 """Let a mode on a line explain no stretch at whose end more than this is left of it: it may be the line."""
-FINEST = 1e-30
-"""Take no noise for smaller, in units of an output's power: a quantised sensor at rest has none."""
 MOST_DECAYS = 5e6
 """Fit no more values of decays than this in a stretch; longer ones tell of lines without."""
 MOST_ROUNDS = 8
@@ -143,7 +140,7 @@ def _found(records: Sequence[Record]) -> list[list[_Line]]:
     for _ in range(MOST_ROUNDS):
         taken = [_sinusoids(one.n_samples, lines) for one, lines in zip(records, likely, strict=True)]
         freed = [replace(record, outputs=record.outputs - hum) for record, hum in zip(records, taken, strict=True)]
-        model = quick_model([_from_rest(record, ahead) for record in freed])
+        model = quick_model([after_rest(record, ahead) for record in freed])
         if model is None:
             break
         run = [
@@ -157,11 +154,6 @@ def _found(records: Sequence[Record]) -> list[list[_Line]]:
         if all(np.abs(new - old).max() < SETTLED for new, old in zip(again, taken, strict=True)):
             break
     return found
-
-
-def _from_rest(record: Record, n_rows: int) -> Record:
-    inputs, outputs = (np.pad(one, ((n_rows, 0), (0, 0))) for one in (record.inputs, record.outputs))
-    return replace(record, inputs=inputs, outputs=outputs)
 
 
 def _in_any(known: Sequence[Sequence[_Line]], left: Sequence[_Left], apart: float) -> list[list[_Line]]:
@@ -263,10 +255,9 @@ def _line_near(left: _Left, peak: float, near: float, *, apart: float, told_by: 
     size, weights = _robust_mean(sizes, noise)
     strongest = int((np.square(np.abs(size)) * weights.sum(axis=0)).argmax())
     power = float(np.square(np.abs(size[strongest])))
-    sure = power * weights[:, strongest]
-    if abs(cycles - peak) > near or sure.sum() < CERTAIN:
+    if abs(cycles - peak) > near or power * weights[:, strongest].sum() < CERTAIN:
         return None
-    if not _keeps(sizes[:, strongest] / size[strongest], noise[:, strongest] / power, sure, apart):
+    if not _keeps(sizes[:, strongest] / size[strongest], noise[:, strongest] / power, apart):
         return None
     error = float((1.0 / weights.sum(axis=0)).sum())
     line = _Line(cycles=cycles, apart=MAIN_LOBE / len(left.values), size=size, error=error)
@@ -291,16 +282,11 @@ def _frequency(values: FloatArray, cycles: float, n_rows: int) -> float:
     return cycles
 
 
-def _keeps(own: ComplexArray, variance: FloatArray, sure: FloatArray, apart: float) -> bool:
-    """Whether (N_PARTS,) sizes relative to their mean are all one, with their variance and inverse mean squares."""
+def _keeps(own: ComplexArray, variance: FloatArray, apart: float) -> bool:
+    """Whether (N_PARTS,) sizes relative to their mean are all one, or most of them, given their variance."""
     squares = np.square(np.abs(own - 1.0))
     alike = 2.0 * float((squares / variance).sum()) < scipy.special.chdtri(2 * (N_PARTS - 1), BY_CHANCE)
-    shares, time = sure / sure.sum(), (np.arange(N_PARTS) + 0.5) / N_PARTS
-    time -= shares @ time
-    trend = float(shares @ (time * (own.real - 1.0)) / (shares @ time**2))
-    rest = shares @ np.square(own.real - 1.0 - trend * time) / (N_PARTS - 2) / (shares @ time**2)
-    grows = abs(trend) > MOST_TREND + 3.0 * float(np.sqrt(rest))
-    return (alike or int((squares <= apart**2).sum()) > N_PARTS / 2) and not grows
+    return alike or int((squares <= apart**2).sum()) > N_PARTS / 2
 
 
 def _told_by(left: _Left, line: _Line, apart: float) -> int:
@@ -334,7 +320,7 @@ def _parts(values: FloatArray, cycles: float, n_rows: int) -> tuple[ComplexArray
     spectra = waves @ values[: N_PARTS * n_rows].reshape(N_PARTS, n_rows, -1)
     begins = np.exp(-2j * np.pi * cycles * n_rows * np.arange(N_PARTS))[:, np.newaxis]
     noise = np.square(np.abs(spectra[:, 1:])).mean(axis=1)
-    return begins * spectra[:, 0], np.maximum(noise, FINEST)
+    return begins * spectra[:, 0], np.maximum(noise, TINY)
 
 
 def _robust_mean(sizes: ComplexArray, noise: FloatArray) -> tuple[ComplexArray, FloatArray]:

@@ -36,7 +36,7 @@ FINER = 16
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class MachineLines:
-    """Records without inputs, less the sinusoids in them.
+    """Records without inputs, or that were struck, less the sinusoids in them.
 
     Attributes:
         records: the very records that came where there is no line.

@@ -144,7 +144,9 @@ def with_rest(records: Sequence[Record]) -> Rested:
     above = _above_rest(centred)
     begun = [_begun(rows, first) for rows, first in zip(above, starts, strict=True)]
     resting = [_rests(record, first) for record, first in zip(centred, begun, strict=True)]
-    padded = tuple(_padded(record, length) if rests else record for record, rests in zip(centred, resting, strict=True))
+    padded = tuple(
+        after_rest(record, length) if rests else record for record, rests in zip(centred, resting, strict=True)
+    )
     whole = padded
     before = min(row for row, _ in acts(padded))
     looks_ahead = _rings_before(padded) and lead_of(padded, before) > 0
@@ -290,7 +292,8 @@ def _looks_white(values: FloatArray) -> bool:
     return bool(statistic <= scipy.special.chdtri(N_LAGS * power.size, CHANCE))
 
 
-def _padded(record: Record, length: int) -> Record:
+def after_rest(record: Record, length: int) -> Record:
+    """With so many rows of rest in front, in which nothing acts and nothing moves."""
     return replace(
         record,
         inputs=np.vstack([np.zeros((length, record.n_inputs)), record.inputs]),

@@ -41,18 +41,17 @@ def test_a_line_is_taken_off_as_exactly_as_noise_lets_it():
             assert np.sqrt(np.square(left).mean(axis=0)).max() < 0.2 * noise
 
 
+@pytest.mark.parametrize("frequency", [6.3, 7.3])
 @pytest.mark.parametrize("seed", range(4))
-def test_a_line_beside_a_mode_is_told_from_it(seed):
-    """7.3 Hz stands out of nothing beside what rings at 6.6 Hz, until between blows each mode rings as it may."""
+def test_a_line_beside_a_mode_is_told_from_it(seed, frequency):
+    """Nothing stands out between what rings at 6 and 6.6 Hz, until between blows each mode rings as it may."""
     rng, truth = three_modes(seed)
-    made = [
-        struck(rng, truth, starts=starts, hum=0.03, frequencies=(7.3, 39.0))
-        for starts in ((60, 1400), (200, 1100, 2200))
-    ]
+    hums = {"hum": 0.03, "frequencies": (frequency, 39.0)}
+    made = [struck(rng, truth, starts=starts, **hums) for starts in ((60, 1400), (200, 1100, 2200))]
     found = lines_beside_blows([record for record, *_ in made])
     for freed, (record, standing, noise) in zip(found.records, made, strict=True):
         left = freed.outputs - (record.outputs - standing)
-        assert np.sqrt(np.square(left).mean(axis=0)).max() < 0.2 * noise
+        assert np.sqrt(np.square(left).mean(axis=0)).max() < 0.15 * noise
 
 
 def test_records_without_a_line_stay_the_very_ones():
