@@ -507,7 +507,9 @@ def _runs(rows: BoolArray) -> tuple[list[tuple[int, int]], int]:
 
 
 def filled(records: Sequence[Record]) -> tuple[Record, ...]:
-    """Gaps bridged by straight lines, for simulation only: no row of a gap is ever fitted or scored.
+    """Gaps bridged by straight lines, a channel without any sample by zeros, for simulation only.
+
+    No row of a gap is ever fitted or scored.
 
     Example:
         >>> filled([Record([], [1.0, np.nan, 3.0], 0.1)])[0].outputs.ravel().tolist()
@@ -526,7 +528,7 @@ def _bridged(values: FloatArray) -> FloatArray:
     rows = np.arange(values.shape[0])
     for channel in bridged.T:
         there = ~np.isnan(channel)
-        channel[:] = np.interp(rows, rows[there], channel[there])
+        channel[:] = np.interp(rows, rows[there], channel[there]) if there.any() else 0.0
     return bridged
 
 

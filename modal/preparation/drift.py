@@ -84,11 +84,13 @@ class FreedTrials:
 
     Attributes:
         records: means off, outputs divided by their size over all records, so that each counts alike.
+        size: (n_outputs,) of each.
         models: made so far, by the number of sums and of slow functions.
         remainders: of their free runs, likewise.
     """
 
     records: tuple[Record, ...]
+    size: FloatArray
     models: dict[tuple[int, int], QuickModel | None] = field(default_factory=dict)
     remainders: dict[tuple[int, int], tuple[SlowMotion, ...]] = field(default_factory=dict)
 
@@ -99,7 +101,7 @@ class FreedTrials:
         size = np.sqrt(squares / sum(record.n_samples for record in records))
         size = np.where(size > 0.0, size, 1.0)
         sized = (replace(record, outputs=record.outputs / size) for record in records)
-        return cls(records=tuple(without_drift(record, 0) for record in sized))
+        return cls(records=tuple(without_drift(record, 0) for record in sized), size=size)
 
     def freed(self, number: int, n_functions: int) -> tuple[Record, ...]:
         """The records with their inputs summed so often, then freed of slow functions (as many as sums, at least)."""

@@ -1,16 +1,18 @@
-"""Lines that stand in struck records: mains in the cables, a machine beside the structure.
+"""Lines that stand in records with inputs: mains in the cables, a machine beside the structure.
 
-A structure that starts at rest has no states to hum with, so its model would fill with undamped modes that each blow
-sets off. But a line stands before the first blow and after the last, and keeps its size and its phase in all parts of a
-record, where a mode's motion is new with each blow and fades. It is looked for in the outputs, and, by turns with a
-first model of the rest, in what is left of them:
+A model has no states to hum with but undamped modes, which each force sets off anew. But a line keeps its size and its
+phase in all parts of a record, whatever acts, where what forces make is new in each part. It is looked for by turns
+with a first model of the rest, in what is left of the outputs:
 
     run    what the model leaves that runs from rest
-    rung   what is left where between blows each mode may ring with a size of its own, whatever set it off
+    rung   what is left where modes may ring with a size of their own, whatever set them off
 
-The second needs no more of the model than its poles, and tells a line as well as if nothing rang.
+Between blows nothing acts: there each mode may ring, and a line is told as well as if nothing did; it stands before the
+first blow and after the last, too, where a mode is new with each blow and fades. The second needs no more of the model
+than its poles. Where forces act throughout only a mode that rings on through the whole record looks like a line.
 """
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -19,9 +21,10 @@ import scipy
 
 from modal.estimation.cross_validation import scaled_record
 from modal.estimation.free_run import filled, run_from_rest
+from modal.preparation.drift import FreedTrials
 from modal.preparation.kind import acting_rows, widened
 from modal.preparation.lines import MAIN_LOBE, MachineLines, blackman_harris, line_bins, lines_taken_off, share_taken
-from modal.preparation.quick_model import observer_order, quick_model
+from modal.preparation.quick_model import QuickModel, observer_order, quick_model
 from modal.preparation.rest import after_rest
 from okid.arrays import ROUNDED, TINY, ComplexArray, FloatArray
 from okid.record import Record
@@ -55,7 +58,11 @@ MOST_DECAYS = 5e6
 MOST_ROUNDS = 8
 """Take lines off and fit a first model to the rest so often at most,"""
 SETTLED = 3e-5
-"""or until no line changes by more than this share of an output's size."""
+"""or until no line changes by more than this share of an output's size,"""
+FEWEST_ROUNDS = 3
+"""or, after so many, until none is left that holds."""
+TONES = 0.05
+"""Let be what forces drive that have more than this share of their power in lines: its own lines follow from these."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -103,15 +110,41 @@ def lines_beside_blows(records: Sequence[Record]) -> MachineLines:
         >>> found.frequencies.round(2), bool(abs(found.records[0].outputs[:, 0] - ring - noise).max() < 0.001)
         (array([7.3]), True)
     """
-    whole = filled([_centred(record) for record in records])
+    whole = [_centred(record) for record in records]
     scaling = channel_scaling(whole)
-    scaled = [scaled_record(record, scaling) for record in whole]
-    found = _found(scaled)
+    found = _beside_blows([scaled_record(record, scaling) for record in whole])
+    return _taken_off(whole, scaling.output_scale, found, records, "blows")
+
+
+def lines_beside_forces(records: Sequence[Record], trials: FreedTrials) -> MachineLines:
+    """Find the sinusoids that stand in driven records whatever the forces do, and take them off.
+
+    Args:
+        records: about their means.
+        trials: of them, with gaps filled.
+
+    Example:
+        >>> rng = np.random.default_rng(0)
+        >>> force, noise = rng.standard_normal((2, 4000))
+        >>> answer = np.convolve(force, 0.9 ** np.arange(100) * np.cos(0.3 * np.arange(100)))[:4000]
+        >>> hum = 0.05 * np.sin(2 * np.pi * 7.3 * 0.01 * np.arange(4000))
+        >>> record = Record(force, answer + hum + 0.01 * noise, 0.01)
+        >>> lines_beside_forces([record], FreedTrials.of([record])).frequencies.round(2)
+        array([7.3])
+    """
+    whole = [replace(own, outputs=own.outputs * trials.size) for own in trials.records]
+    return _taken_off(whole, trials.size, _beside_forces(trials), records, "forces")
+
+
+def _taken_off(
+    whole: Sequence[Record], scale: FloatArray, found: Sequence[Sequence[_Line]], records: Sequence[Record], what: str
+) -> MachineLines:
+    """Records less the lines that were found in the same about their middle, in units of these scales."""
     if not any(found):
         return MachineLines(records=tuple(records), frequencies=np.empty(0))
     freed, shares = [], []
     for came, centred, lines in zip(records, whole, found, strict=True):
-        hum = scaling.output_scale * _sinusoids(came.n_samples, lines)
+        hum = scale * _sinusoids(came.n_samples, lines)
         freed.append(replace(came, outputs=came.outputs - hum))
         shares.append(share_taken(centred, centred.outputs - hum))
     return lines_taken_off(
@@ -119,41 +152,96 @@ def lines_beside_blows(records: Sequence[Record]) -> MachineLines:
         freed,
         [line.cycles / one.dt for one, own in zip(records, found, strict=True) for line in own],
         max(shares),
-        f"each keeps its size and its phase in {N_PARTS} parts of a record, whatever the blows do",
+        f"each keeps its size and its phase in {N_PARTS} parts of a record, whatever the {what} do",
     )
 
 
 def _centred(record: Record) -> Record:
-    """About the median of each output; one that is not there at all is zero."""
-    there = np.isfinite(record.outputs).any(axis=0)
-    outputs = np.where(there, record.outputs, 0.0)
-    return replace(record, outputs=outputs - np.nanmedian(outputs, axis=0))
+    """About the median of each output, without gaps."""
+    (whole,) = filled([record])
+    return replace(whole, outputs=whole.outputs - np.median(whole.outputs, axis=0))
 
 
-def _found(records: Sequence[Record]) -> list[list[_Line]]:
-    """The lines of each scaled record."""
+def _beside_blows(records: Sequence[Record]) -> list[list[_Line]]:
+    """The lines of each scaled record that was struck."""
     free = [runs_of(np.asarray(~widened(acting).any(axis=1))) for acting in acting_rows(records)]
     outputs = [_Left(values=record.outputs, free=own) for record, own in zip(records, free, strict=True)]
     at_once = _in_any([()] * len(records), outputs, APART)
     found = likely = at_once
     ahead = observer_order(records)  # else it would not see a blow in the first rows
     for _ in range(MOST_ROUNDS):
-        taken = [_sinusoids(one.n_samples, lines) for one, lines in zip(records, likely, strict=True)]
-        freed = [replace(record, outputs=record.outputs - hum) for record, hum in zip(records, taken, strict=True)]
-        model = quick_model([after_rest(record, ahead) for record in freed])
+        model = quick_model([after_rest(record, ahead) for record in _less(records, likely)])
         if model is None:
             break
-        run = [
-            replace(own, values=own.values - run_from_rest(model.form, record.inputs))
-            for own, record in zip(outputs, records, strict=True)
-        ]
+        run = _after_runs(outputs, model, records)
         rung = [_rung(own, model.form.poles, lines) for own, lines in zip(outputs, likely, strict=True)]
         found = _in_any(at_once, rung, APART)
-        likely = _in_any(_in_any(at_once, rung, MOST_APART), run, MOST_APART)
-        again = [_sinusoids(one.n_samples, lines) for one, lines in zip(records, likely, strict=True)]
-        if all(np.abs(new - old).max() < SETTLED for new, old in zip(again, taken, strict=True)):
+        before, likely = likely, _in_any(_in_any(at_once, rung, MOST_APART), run, MOST_APART)
+        if _settled(records, before, likely):
             break
     return found
+
+
+def _beside_forces(trials: FreedTrials) -> list[list[_Line]]:
+    """The lines of each record that forces drive."""
+    records = trials.records
+    found: list[list[_Line]] = [[] for _ in records]
+    if max(_share_in_lines(record.inputs) for record in records) > TONES:
+        return found
+    outputs = [_Left(values=record.outputs, free=()) for record in records]
+    likely = found
+    for n_rounds in range(1, MOST_ROUNDS + 1):
+        model = quick_model(_less(records, likely)) if any(likely) else trials.model(0, 0)
+        if model is None:
+            break
+        run = _after_runs(outputs, model, records)
+        before, likely = likely, _in_any([()] * len(records), run, MOST_APART)
+        found = [
+            _borne_out(_rung_on(left, model.form.poles, lines), replace(own, values=own.values - left.values), lines)
+            for own, left, lines in zip(outputs, run, likely, strict=True)
+        ]
+        if _settled(records, before, likely) or (n_rounds >= FEWEST_ROUNDS and not any(found)):
+            break
+    return found
+
+
+def _share_in_lines(values: FloatArray) -> float:
+    bins, power = line_bins(values)
+    return float((bins * power).sum(axis=0).max())
+
+
+def _less(records: Sequence[Record], lines: Sequence[Sequence[_Line]]) -> list[Record]:
+    return [
+        replace(record, outputs=record.outputs - _sinusoids(record.n_samples, own))
+        for record, own in zip(records, lines, strict=True)
+    ]
+
+
+def _after_runs(outputs: Sequence[_Left], model: QuickModel, records: Sequence[Record]) -> list[_Left]:
+    """What the model leaves of the outputs, which runs from rest."""
+    return [
+        replace(own, values=own.values - run_from_rest(model.form, record.inputs))
+        for own, record in zip(outputs, records, strict=True)
+    ]
+
+
+def _settled(records: Sequence[Record], before: Sequence[Sequence[_Line]], now: Sequence[Sequence[_Line]]) -> bool:
+    return all(
+        np.abs(_sinusoids(record.n_samples, new) - _sinusoids(record.n_samples, old)).max() < SETTLED
+        for record, new, old in zip(records, now, before, strict=True)
+    )
+
+
+def _borne_out(rung: _Left, answer: _Left, lines: Sequence[_Line]) -> list[_Line]:
+    """Those that hold once the others are off, and that are no part of a stronger line in what forces make."""
+    held = []
+    for line in lines:
+        others = [other for other in lines if other is not line]
+        own = _line_near(rung.without(others), line.cycles, line.apart, apart=MOST_APART)
+        driven = _line_near(answer, line.cycles, line.apart, apart=MOST_APART)
+        if own is not None and (driven is None or np.linalg.norm(driven.size) < np.linalg.norm(own.size)):
+            held.append(own)
+    return held
 
 
 def _in_any(known: Sequence[Sequence[_Line]], left: Sequence[_Left], apart: float) -> list[list[_Line]]:
@@ -219,6 +307,17 @@ def _rung(left: _Left, poles: ComplexArray, lines: Sequence[_Line]) -> _Left:
     return replace(left, values=values)
 
 
+def _rung_on(left: _Left, poles: ComplexArray, lines: Sequence[_Line]) -> _Left:
+    """What is left but for what modes on the lines may do that ring on through the whole record, as in `_rung`."""
+    n_rows = len(left.values)
+    near = np.abs(np.angle(poles)[:, np.newaxis] / (2.0 * np.pi) - [line.cycles for line in lines]) * n_rows < MAIN_LOBE
+    own = poles[near.any(axis=1) & (np.abs(poles) ** n_rows >= FADED)]
+    time = np.arange(n_rows)[:, np.newaxis]
+    decays = np.hstack([own**time, own**time * (time / n_rows)])
+    basis = np.linalg.qr(np.hstack([decays.real, decays.imag]))[0]
+    return replace(left, values=left.values - basis @ (basis.T @ left.values))
+
+
 def _standing(left: _Left, apart: float) -> list[_Line]:
     """The sinusoids that keep their size and phase, the strongest peaks first."""
     found = list[_Line]()
@@ -246,7 +345,7 @@ def _quietest(values: FloatArray) -> Rows:
 
 
 def _line_near(left: _Left, peak: float, near: float, *, apart: float, told_by: int = 2) -> _Line | None:
-    """The sinusoid as near to a peak [cycles a row] if it keeps its size and phase, which so many stretches tell."""
+    """The sinusoid as near to a peak [cycles a row] if it keeps its size and phase, as so many free stretches tell."""
     n_rows = len(left.values) // N_PARTS
     if min(peak, 0.5 - peak) * n_rows < 2 * MAIN_LOBE:
         return None
@@ -261,7 +360,7 @@ def _line_near(left: _Left, peak: float, near: float, *, apart: float, told_by: 
         return None
     error = float((1.0 / weights.sum(axis=0)).sum())
     line = _Line(cycles=cycles, apart=MAIN_LOBE / len(left.values), size=size, error=error)
-    return line if _told_by(left, line, apart) >= told_by else None
+    return line if not left.free or _told_by(left, line, apart) >= told_by else None
 
 
 def _frequency(values: FloatArray, cycles: float, n_rows: int) -> float:
@@ -312,15 +411,23 @@ def _told_by(left: _Left, line: _Line, apart: float) -> int:
 
 def _parts(values: FloatArray, cycles: float, n_rows: int) -> tuple[ComplexArray, FloatArray]:
     """(N_PARTS, n_outputs) sizes of a sinusoid in each part, and the variance of noise of its neighbours there."""
+    offsets, waves = _neighbours(n_rows)
+    rows = np.arange(N_PARTS * n_rows)
+    slowed = values[: rows.size] * np.exp(-2j * np.pi * cycles * rows)[:, np.newaxis]
+    within = waves[(cycles + offsets > 0.0) & (cycles + offsets < 0.5)]
+    spectra = within @ slowed.reshape(N_PARTS, n_rows, -1)
+    noise = np.square(np.abs(spectra[:, 1:])).mean(axis=1)
+    return spectra[:, 0], np.maximum(noise, TINY)
+
+
+@functools.lru_cache(maxsize=2)
+def _neighbours(n_rows: int) -> tuple[FloatArray, ComplexArray]:
+    """(n_frequencies,) distances from a line [cycles a row], it first; (n_frequencies, n_rows) what measures each."""
     window = blackman_harris(n_rows)
     beside = np.arange(MAIN_LOBE + 1, MAIN_LOBE + 1 + BESIDE_LINE)
     offsets = np.concatenate([[0], beside, -beside]) / n_rows
-    offsets = offsets[(cycles + offsets > 0.0) & (cycles + offsets < 0.5)]
-    waves = np.exp(-2j * np.pi * np.outer(cycles + offsets, np.arange(n_rows))) * (2.0 * window / window.sum())
-    spectra = waves @ values[: N_PARTS * n_rows].reshape(N_PARTS, n_rows, -1)
-    begins = np.exp(-2j * np.pi * cycles * n_rows * np.arange(N_PARTS))[:, np.newaxis]
-    noise = np.square(np.abs(spectra[:, 1:])).mean(axis=1)
-    return begins * spectra[:, 0], np.maximum(noise, TINY)
+    waves = np.exp(-2j * np.pi * np.outer(offsets, np.arange(n_rows))) * (2.0 * window / window.sum())
+    return offsets, waves
 
 
 def _robust_mean(sizes: ComplexArray, noise: FloatArray) -> tuple[ComplexArray, FloatArray]:

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from era.realisation import Realisation
+from modal.estimation.free_run import filled
 from modal.modes.mode import Choice
 from modal.preparation.band import coherent_band
 from modal.preparation.delay import (
@@ -28,7 +29,7 @@ from modal.preparation.drift import (
 )
 from modal.preparation.faults import Mended, mended, no_finer_than_sensors
 from modal.preparation.filling import Filling, fill_where_needed, holds_filled
-from modal.preparation.hum import lines_beside_blows
+from modal.preparation.hum import lines_beside_blows, lines_beside_forces
 from modal.preparation.integrators import choose_integrators, given_integrators, with_integrators
 from modal.preparation.kind import RecordKind, acts
 from modal.preparation.lines import MachineLines, machine_lines
@@ -158,10 +159,10 @@ def prepare(
         raise InvalidDataError(f'missing must be "fill" or "leave", but is {missing!r}.')
     mend = mended(records, driven=kind == "driven" and first.n_inputs > 0) if mend is None else mend
     parts, gaps = _parts(mend.records)
-    lines, rested, floor = _about_rest_without_lines(parts, kind)
+    lines, rested, floor, trials = _about_rest_without_lines(parts, kind)
     centred = lines.records
     filling = _filling(lines.records, missing)
-    trials = FreedTrials.of(filling.records)
+    trials = FreedTrials.of(filling.records) if trials is None else trials
     integrating = choose_integrators(filling.records, trials=trials) if given is None else given
     number = integrating.number
     n_rest: tuple[int, ...] = (0,) * len(centred) if rested is None else rested.n_rest
@@ -229,17 +230,22 @@ def prepare(
 
 def _about_rest_without_lines(
     records: tuple[Record, ...], kind: RecordKind
-) -> tuple[MachineLines, Rested | None, tuple[Choice, ...]]:
-    """Records about their mean or level at rest, less lines that stand in them; what rests; the sensors' floor."""
+) -> tuple[MachineLines, Rested | None, tuple[Choice, ...], FreedTrials | None]:
+    """Records about their mean or level at rest, less lines in them; what rests; the sensors' floor; models of them."""
     if kind in ("transient", "decay"):
         none = MachineLines(records=records, frequencies=np.empty(0))
         lines = lines_beside_blows(records) if kind == "transient" else none
         rested = with_rest(lines.records)
-        return replace(lines, records=rested.records), rested, ()
+        return replace(lines, records=rested.records), rested, (), None
     centred, floor = tuple(one.detrended() for one in records), tuple[Choice, ...]()
+    if kind == "driven" and records[0].n_inputs:
+        trials = FreedTrials.of(filled(centred))
+        lines = lines_beside_forces(centred, trials)
+        same = not lines.frequencies.size and all(one.complete_rows().all() for one in centred)
+        return lines, None, floor, trials if same else None
     if kind == "ambient":
         centred, floor = no_finer_than_sensors(centred)
-    return machine_lines(centred), None, floor
+    return machine_lines(centred), None, floor, None
 
 
 def _measured_share(filling: Filling, rested: Rested | None) -> float:
