@@ -308,10 +308,10 @@ def _rung(left: _Left, poles: ComplexArray, lines: Sequence[_Line]) -> _Left:
 
 
 def _rung_on(left: _Left, poles: ComplexArray, lines: Sequence[_Line]) -> _Left:
-    """What is left but for what modes on the lines may do that ring on through the whole record, as in `_rung`."""
+    """What is left but for what modes on the lines may do, ringing on through the record, as in `_rung`."""
     n_rows = len(left.values)
     near = np.abs(np.angle(poles)[:, np.newaxis] / (2.0 * np.pi) - [line.cycles for line in lines]) * n_rows < MAIN_LOBE
-    own = poles[near.any(axis=1) & (np.abs(poles) ** n_rows >= FADED)]
+    own = poles[near.any(axis=1)]
     time = np.arange(n_rows)[:, np.newaxis]
     decays = np.hstack([own**time, own**time * (time / n_rows)])
     basis = np.linalg.qr(np.hstack([decays.real, decays.imag]))[0]
