@@ -272,7 +272,7 @@ def _with_delays(
             )
         tell("fitting all rows", FITTING)
         # a few blows are no stationary input, of which the test could be asked
-        alive = preparation.on_time(living(several)[0])
+        alive = living(several)[0]
         suspected = kind_found.kind == "driven" and loop_p_value(alive) < FALSE_ALARMS
 
         def fitted(records: Sequence[Record]) -> tuple[Search, FinalModel]:

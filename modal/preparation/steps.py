@@ -66,7 +66,6 @@ class Preparation:
         n_integrators: how often the system sums its inputs.
         n_slow_functions: what was taken off each channel besides its mean.
         skew: how late outputs of `records` were, of which whole samples were taken off.
-        factor: by which the records were decimated.
         choices: all of it, with reasons.
         warnings: what the user must read before believing a number.
         measured: (n_samples, n_outputs) of each of the records, False where a sample was filled.
@@ -82,7 +81,6 @@ class Preparation:
     n_integrators: int
     n_slow_functions: int
     skew: Skew
-    factor: int
     choices: tuple[Choice, ...]
     warnings: tuple[str, ...]
     measured: tuple[BoolArray, ...]
@@ -109,10 +107,6 @@ class Preparation:
             np.repeat(one.complete_rows()[:, np.newaxis], one.n_outputs, axis=1) for one in self.records
         ]
         return sum(int(own[n:].sum()) for own, n in zip(there, self.n_rest, strict=True))
-
-    def on_time(self, records: Sequence[Record]) -> tuple[Record, ...]:
-        """Records as `mended`, their outputs within half of a sample fitted of one another."""
-        return on_time(records, [self.factor * whole for whole in self.skew.whole])
 
     def complete(self, realisation: Realisation) -> Realisation:
         """The model fitted to `records` with integrators and delays as states, driven by the inputs as measured.
@@ -222,7 +216,6 @@ def prepare(
         n_integrators=number,
         n_slow_functions=drifting.n_functions,
         skew=skew,
-        factor=factor,
         choices=(
             *gaps,
             *floor,
