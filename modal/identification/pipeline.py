@@ -43,7 +43,6 @@ from modal.preparation.amplitude import distortion_at_modes
 from modal.preparation.band import chance_at_modes, missed_share
 from modal.preparation.delay import (
     LONGEST_SHARE,
-    acting_at_once,
     check_delay_word,
     delay_of_phases,
     given_input_delay,
@@ -52,7 +51,6 @@ from modal.preparation.delay import (
 )
 from modal.preparation.faults import Mended, free_of_clipping, living, mended
 from modal.preparation.filling import refilled
-from modal.preparation.integrators import driven_by_inputs
 from modal.preparation.kind import GivenKind, KindFound, acting_in, find_kind, given_kind
 from modal.preparation.quick_model import left_alone_and_together
 from modal.preparation.rest import RELEASED, released
@@ -450,7 +448,7 @@ def _identified(
         realisation=preparation.complete(model),
         fitted_model=model,
         modes=replace(
-            acting_at_once(driven_by_inputs(modes, preparation.n_integrators), preparation.input_delay),
+            preparation.modes_of(modes),
             output_names=prepared[0].output_names,
             output_units=prepared[0].output_units,
             input_names=prepared[0].input_names,

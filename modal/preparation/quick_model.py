@@ -6,7 +6,7 @@ run freely through no more rows; it is never the answer.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,7 +20,9 @@ from modal.estimation.cross_validation import (
     scaled_record,
     stretches_of,
 )
-from modal.estimation.free_run import ModalForm, free_runs, modal_form
+from modal.estimation.free_run import ModalForm, filled, free_runs, modal_form, run_from_rest
+from modal.modes.modal_mass import DERIVATIVES
+from modal.modes.skew import MeasuredShapes, Skew, skew_of_shapes
 from okid.arrays import FloatArray
 from okid.gram import lag_gram
 from okid.least_squares import solve
@@ -30,6 +32,8 @@ from okid.scaling import channel_scaling
 
 RIDGES = (FIRST_RIDGE, 10 * FIRST_RIDGE, 100 * FIRST_RIDGE)
 """Try a larger ridge where no model is stable with the smaller ones: to be unstable proves nothing about the system."""
+ROUNDING = 1e-14
+"""Take no sum of squares of a column of unit length for less: it is rounding."""
 MODEL_ORDERS = (1, 2, 4, 6, 8, 12, 16, 24, 32, 40)
 
 
@@ -87,6 +91,74 @@ def left_alone_and_together(records: Sequence[Record], left: Sequence[FloatArray
         together += float(np.square(errors / scaling.output_scale).sum())
         power += float(np.square(scaled.outputs).sum())
     return alone / power, together / power
+
+
+def choose_skew(records: Sequence[Record], factor: int = 1) -> Skew:
+    """How late outputs are against most others, as the shapes of a first model tell it beyond chance.
+
+    Args:
+        records: with inputs as they act.
+        factor: by which they were decimated.
+
+    Example:
+        >>> rng = np.random.default_rng(0)
+        >>> poles = np.exp(np.array([-0.01 + 0.4j, -0.01 + 0.9j, -0.02 + 1.7j]))
+        >>> force, shapes = rng.standard_normal(4000), np.array([[1.0, 0.9], [1.0, -0.7], [0.5, 0.8]])
+        >>> lags = np.arange(400)[:, np.newaxis] - np.array([0.0, 0.5])
+        >>> answers = [shapes[r] * np.exp(lags * np.log(pole)).imag * (lags > 0) for r, pole in enumerate(poles)]
+        >>> outputs = np.column_stack([np.convolve(force, one)[:4000] for one in sum(answers).T])
+        >>> record = Record(force, outputs + 0.01 * rng.standard_normal((4000, 2)), 1.0)
+        >>> [round(late, 1) for late in choose_skew([record]).late]
+        [0.0, 0.5]
+    """
+    scaling = channel_scaling(records)
+    if records[0].n_outputs < 2 or not records[0].n_inputs or scaling.constant_outputs or scaling.constant_inputs:
+        return Skew()
+    scaled = [scaled_record(record, scaling) for record in records]
+    model = quick_model(scaled)
+    if model is None:
+        return Skew()
+    powers = [DERIVATIVES.get(unit) for unit in records[0].output_units]
+    late = skew_of_shapes(measured_shapes(model.form, scaled, powers), same_kind=None not in powers)
+    return Skew.of(late.tolist(), records[0], factor=factor)
+
+
+def measured_shapes(form: ModalForm, records: Sequence[Record], powers: Sequence[int | None]) -> MeasuredShapes:
+    """Shapes of the poles that ring, by least squares of the outputs over the motions of all poles and the inputs.
+
+    Args:
+        form: a stable model.
+        records: that it is a model of; of long ones the stretches that a search would score.
+        powers: (n_outputs,) derivative of motion that each output is; None where that is not known of all.
+    """
+    n_poles, ringing = form.poles.size, form.weights > 1.0
+    eye = np.eye(n_poles, dtype=np.complex128)
+    both = np.asarray(np.concatenate([eye, 1j * eye[ringing]]) / form.weights, dtype=np.complex128)
+    motions = replace(form, shapes=both, feedthrough=np.zeros((both.shape[0], form.feedthrough.shape[1])))
+    compared = [records[one.record].samples(one.first, one.last) for one in stretches_of(records)]
+    rows = [
+        np.column_stack([run_from_rest(motions, one.inputs), one.inputs, np.ones(one.n_samples), one.outputs])
+        for one in filled(compared)
+    ]
+    whole = np.vstack([own[one.complete_rows()] for own, one in zip(rows, compared, strict=True)])
+    size = np.maximum(np.linalg.norm(whole, axis=0), ROUNDING)
+    n_outputs = records[0].n_outputs
+    gram = (whole / size).T @ (whole / size)
+    inverse = np.linalg.inv(gram[:-n_outputs, :-n_outputs] + ROUNDING * np.eye(len(gram) - n_outputs))
+    found = inverse @ gram[:-n_outputs, -n_outputs:]
+    left = np.diag(gram)[-n_outputs:] - np.einsum("ij,ij->j", found, gram[:-n_outputs, -n_outputs:])
+    scale = size[-n_outputs:] / size[:-n_outputs, np.newaxis]
+    variance = np.diag(inverse)[:, np.newaxis] * np.maximum(left, ROUNDING) / len(whole) * scale**2
+    real, imaginary = np.flatnonzero(ringing), np.arange(n_poles, both.shape[0])
+    angular = np.abs(np.angle(form.poles[ringing]))
+    derived = np.ones((angular.size, n_outputs), dtype=complex)
+    if None not in powers:
+        derived = np.log(form.poles[ringing, np.newaxis]) ** np.array(powers)
+    return MeasuredShapes(
+        angular=angular,
+        shapes=((found * scale)[real] + 1j * (found * scale)[imaginary]) / derived,
+        variance=0.5 * (variance[real] + variance[imaginary]) / np.abs(derived) ** 2,
+    )
 
 
 def observer_order(records: Sequence[Record]) -> int:

@@ -2,15 +2,19 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
 
 from era.realisation import Realisation
 from modal.estimation.free_run import filled
-from modal.modes.mode import Choice
+from modal.modes.mode import Choice, ModalModel
+from modal.modes.skew import Skew, on_time, rows_on_time, turned_back
 from modal.preparation.band import coherent_band
 from modal.preparation.delay import (
+    InputDelay,
+    acting_at_once,
     check_delay_word,
     choose_input_delay,
     given_input_delay,
@@ -30,9 +34,10 @@ from modal.preparation.drift import (
 from modal.preparation.faults import Mended, mended, no_finer_than_sensors
 from modal.preparation.filling import Filling, fill_where_needed, holds_filled
 from modal.preparation.hum import lines_beside_blows, lines_beside_forces
-from modal.preparation.integrators import choose_integrators, given_integrators, with_integrators
+from modal.preparation.integrators import choose_integrators, driven_by_inputs, given_integrators, with_integrators
 from modal.preparation.kind import RecordKind, acts
 from modal.preparation.lines import MachineLines, machine_lines
+from modal.preparation.quick_model import choose_skew
 from modal.preparation.rest import Rested, with_rest
 from okid.arrays import BoolArray, FloatArray, whole_number
 from okid.errors import InsufficientDataError, InvalidDataError
@@ -61,6 +66,7 @@ class Preparation:
         input_delay: (n_inputs,) samples by which each input acts late, below zero early.
         n_integrators: how often the system sums its inputs.
         n_slow_functions: what was taken off each channel besides its mean.
+        skew: how late outputs of `records` were, of which whole samples were taken off.
         choices: all of it, with reasons.
         warnings: what the user must read before believing a number.
         measured: (n_samples, n_outputs) of each of the records, False where a sample was filled.
@@ -75,6 +81,7 @@ class Preparation:
     input_delay: tuple[int, ...]
     n_integrators: int
     n_slow_functions: int
+    skew: Skew
     choices: tuple[Choice, ...]
     warnings: tuple[str, ...]
     measured: tuple[BoolArray, ...]
@@ -108,6 +115,12 @@ class Preparation:
         The first states stay those of the model; without integrators and delays it is the model itself.
         """
         return with_input_delay(with_integrators(realisation, self.n_integrators), self.input_delay)
+
+    def modes_of(self, modes: ModalModel) -> ModalModel:
+        """Modes fitted to `records`, driven by the inputs as measured, with shapes as of outputs on time."""
+        return turned_back(
+            acting_at_once(driven_by_inputs(modes, self.n_integrators), self.input_delay), self.skew.rest
+        )
 
 
 def prepare(
@@ -177,20 +190,21 @@ def prepare(
         banded = tuple(one.detrended() for one in banded) if factor > 1 else banded
     else:
         n_rest = tuple(max(0, -(-(n - lost) // factor)) for n in n_rest)
-    if isinstance(input_delay, str):
-        delay = choose_input_delay(banded)
-        if first.n_inputs and not number and (kind == "driven" or (rested is not None and rested.looks_ahead)):
-            before = None if rested is None else min(row for row, _ in acts(banded))
-            delay = with_lead(delay, banded, measured, before=before)
-    else:
-        delay = given_input_delay(input_delay, first, decimation=factor)
+    looks_ahead = not number and (kind == "driven" or (rested is not None and rested.looks_ahead))
+    delays = partial(_delays, given=input_delay, looks_ahead=looks_ahead, struck=rested is not None, factor=factor)
+    delay, skew = delays(banded, measured), Skew()
+    if kind != "decay" and not number:
+        skew = choose_skew(late_inputs(banded, delay.samples), factor)
+    if any(skew.whole):
+        banded, n_rest = on_time(banded, skew.whole), tuple(max(0, n + min(0, *skew.whole)) for n in n_rest)
+        delay = delays(banded, on_time(measured, [factor * whole for whole in skew.whole]))
     summed = tuple(summed_inputs(record, number) for record in banded)
     if slow_functions_given is not None:
         drifting = given_drift(max(number, slow_functions_given), banded[0])
     elif number:
         drifting = integrator_drift(number, banded[0])
     else:
-        same = factor == 1 and not any(delay.samples)
+        same = factor == 1 and not any((*delay.samples, *skew.whole))
         drifting = choose_drift(late_inputs(summed, delay.samples), trials=trials if same else None)
     freed = tuple(without_drift(record, n) if (n := drifting.n_functions) else record for record in summed)
     own = [_own_inputs(*three, number) for three in zip(banded, summed, freed, strict=True)]
@@ -202,6 +216,7 @@ def prepare(
         input_delay=delay.samples,
         n_integrators=number,
         n_slow_functions=drifting.n_functions,
+        skew=skew,
         choices=(
             *gaps,
             *floor,
@@ -209,6 +224,7 @@ def prepare(
             *filling.choices,
             *centring,
             band,
+            *skew.choices,
             *(_of_a_release(one) if kind == "decay" else one for one in (integrating.choice, delay.choice)),
             drifting.choice if level_given or kind != "decay" else _of_a_release(drifting.choice),
         ),
@@ -216,16 +232,45 @@ def prepare(
             *mend.warnings,
             *_gap_warnings(gaps),
             *lines.warnings,
+            *skew.warnings,
             *([drifting.warning] if drifting.warning else []),
         ),
         measured=tuple(
-            _made_of_measured(seen, factor)[late : record.n_samples - early]
+            _measured_on_time(seen, factor, skew)[late : record.n_samples - early]
             for seen, record in zip(filling.measured, own, strict=True)
         ),
         measured_share=_measured_share(filling, rested),
         n_rest=tuple(max(0, n - late) for n in n_rest),
         at_rest=np.zeros((len(own), first.n_inputs)) if rested is None or number else rested.at_rest / factor,
     )
+
+
+def _delays(
+    records: Sequence[Record],
+    measured: Sequence[Record],
+    *,
+    given: int | Sequence[int] | str,
+    looks_ahead: bool,
+    struck: bool,
+    factor: int,
+) -> InputDelay:
+    """How late inputs act: given, or as the records show, with a lead where one is looked for.
+
+    Args:
+        records: that are to be fitted.
+        measured: the same before they were decimated by `factor`.
+        given: by the caller, in samples of those, or "auto".
+        looks_ahead: whether inputs may be taken early.
+        struck: whether they act in blows.
+        factor: of decimation.
+    """
+    if not isinstance(given, str):
+        return given_input_delay(given, records[0], decimation=factor)
+    delay = choose_input_delay(records)
+    if not (records[0].n_inputs and looks_ahead):
+        return delay
+    before = min(row for row, _ in acts(records)) if struck else None
+    return with_lead(delay, records, measured, before=before)
 
 
 def _about_rest_without_lines(
@@ -340,6 +385,12 @@ def _made_of_measured(there: BoolArray, factor: int) -> BoolArray:
     reach, half = filter_half_length(factor), min(factor, filter_half_length(factor))
     around = np.asarray(np.lib.stride_tricks.sliding_window_view(there, 2 * half + 1, axis=0).all(axis=-1))
     return around[reach - half : len(there) - reach - half : factor]
+
+
+def _measured_on_time(there: BoolArray, factor: int, skew: Skew) -> BoolArray:
+    """The same for outputs that were taken from later samples."""
+    made = _made_of_measured(there, factor)
+    return rows_on_time(made, skew.whole) if any(skew.whole) else made
 
 
 def _differences(values: FloatArray, number: int) -> FloatArray:
