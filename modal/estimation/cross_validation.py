@@ -11,7 +11,7 @@ too, is known before the first row that does.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -51,7 +51,7 @@ MANY_RECORDS = 4
 ALIKE = 0.5
 """if the shortest is at least this share of the longest,"""
 LEAST_TRAINED = 0.01
-"""and if each input keeps this share of its power when the whole records of a fold are left out."""
+"""and if each input keeps this share of its power, at each frequency, when what a fold holds out is left out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -82,6 +82,8 @@ def is_long(records: Sequence[Record]) -> bool:
     return sum(record.n_samples for record in records) > LONGEST_SCORED
 
 
+Masks = tuple[tuple[BoolArray, ...], ...]
+"""[fold][record] (n_samples,) rows held out."""
 Folds = Literal["blocks", "rows"]
 """Hold out blocks of rows, or rows by turns: what is struck once has one answer, of which each fold needs a part."""
 N_TURNS = 3
@@ -117,37 +119,81 @@ def turns_of(measured: Sequence[BoolArray], wanted: int, n_parts: int | None = N
     return wanted
 
 
-def folds_of(
-    records: Sequence[Record], folds: Folds = "blocks", n_turns: int = N_TURNS
-) -> tuple[tuple[BoolArray, ...], ...]:
-    """[fold][record] held-out rows: by turns, or blocks.
+def folds_of(records: Sequence[Record], folds: Folds = "blocks", n_turns: int = N_TURNS, *, n_blocks: int = 0) -> Masks:
+    """[fold][record] held-out rows: by turns, or so many blocks of each record, those of `n_blocks_of` unless given."""
+    if folds == "rows":
+        return tuple(
+            tuple(np.arange(record.n_samples) % n_turns == turn for record in records) for turn in range(n_turns)
+        )
+    n_blocks = n_blocks or n_blocks_of(records)
+    return _blocks_held_out(records, n_blocks) if n_blocks else whole_record_folds(records)
+
+
+def n_blocks_of(records: Sequence[Record]) -> int:
+    """Blocks of each record that folds hold out; 0 where they hold out whole records.
 
     Whole records where there are enough that can stand for each other (a block of a sweep cannot stand for another
-    one, but neither can a record stand for the only one in which an input moves); else ten blocks a record, or ten
-    blocks a stretch where the records are long.
+    one, but neither can a record stand for the only one in which an input moves); else ten blocks a record, ten
+    blocks a stretch where the records are long, or as many more as `shared_blocks` asks for.
     """
     lengths = [record.n_samples for record in records]
-    if folds == "rows":
-        return tuple(tuple(np.arange(n) % n_turns == turn for n in lengths) for turn in range(n_turns))
-    longest = max(lengths)
-    if len(records) >= MANY_RECORDS and min(lengths) >= ALIKE * longest and not is_long(records):
-        whole = whole_record_folds(records)
-        if _every_input_trains(records, whole):
-            return whole
-    if not is_long(records) or longest <= STRETCH:
-        return interleaved_folds(records)
-    n_stretches = -(-longest // STRETCH)
-    return interleaved_folds(records, n_blocks=BLOCKS * n_stretches, min_block=STRETCH // BLOCKS)
+    alike = len(records) >= MANY_RECORDS and min(lengths) >= ALIKE * max(lengths) and not is_long(records)
+    if alike and _untrained(records, whole_record_folds(records), BLOCKS) <= LEAST_TRAINED:
+        return 0
+    return shared_blocks(records, lambda n: _blocks_held_out(records, n), _fewest_blocks(records))
 
 
-def _every_input_trains(records: Sequence[Record], folds: Sequence[Sequence[BoolArray]]) -> bool:
-    """Whether each input moves in the whole records that each fold leaves: not where one drives one record alone."""
-    moved = [np.square(record.inputs - record.inputs.mean(axis=0)).sum(axis=0) for record in records]
-    least = LEAST_TRAINED * np.sum(moved, axis=0)
-    return all(
-        bool((np.sum([m for m, rows in zip(moved, fold, strict=True) if not rows.any()], axis=0) > least).all())
-        for fold in folds
-    )
+def _fewest_blocks(records: Sequence[Record]) -> int:
+    return BLOCKS * -(-max(record.n_samples for record in records) // STRETCH) if is_long(records) else BLOCKS
+
+
+def _blocks_held_out(records: Sequence[Record], n_blocks: int) -> Masks:
+    fewest = _fewest_blocks(records)
+    shortest = STRETCH // BLOCKS * fewest // n_blocks if fewest > BLOCKS else BLOCKS
+    return interleaved_folds(records, n_blocks=n_blocks, min_block=shortest)
+
+
+def shared_blocks(records: Sequence[Record], cut: Callable[[int], Masks], fewest: int = BLOCKS) -> int:
+    """The least number of blocks a record, doubled as often as it takes, that leaves each fold all frequencies.
+
+    A sweep passes each frequency once. Rows that are held out alone then answer at frequencies that no other row
+    does: no model of the others foretells them, and a half of the rows cannot confirm a mode that the other half alone
+    was driven at. Where the blocks are so short that the sweep passes less within one than it tells apart, what a
+    frequency makes is shared: a sweep over F [Hz] in T [s] takes about sqrt(F T) of them, and has at least 2 F T
+    samples, so there are never more blocks than samples in one. Where no number is enough, that which leaves most.
+
+    Args:
+        records: of one system.
+        cut: the rows that each fold holds out, from a number of blocks a record.
+        fewest: blocks a record, to begin with.
+    """
+    longest = max(record.n_samples for record in records)
+    best, least, n = fewest, np.inf, fewest
+    while least > LEAST_TRAINED and (n == fewest or n**2 <= longest):
+        missed = _untrained(records, cut(n), n)
+        if missed < least:
+            best, least = n, missed
+        n *= 2
+    return best
+
+
+def _untrained(records: Sequence[Record], folds: Masks, n_blocks: int) -> float:
+    """Largest share of an input's power at frequencies of whose power there a fold leaves less than `LEAST_TRAINED`."""
+    edges = [np.linspace(0, record.n_samples, n_blocks + 1).round().astype(int) for record in records]
+    n_window = 1 << int(max(np.diff(own).max() for own in edges)).bit_length()
+    total = np.zeros((n_window // 2 + 1, records[0].n_inputs))
+    trained = np.zeros((len(folds), *total.shape))
+    for r, (record, own) in enumerate(zip(records, edges, strict=True)):
+        inputs = np.nan_to_num(record.inputs - np.nanmean(record.inputs, axis=0))
+        for first, last in itertools.pairwise(own.tolist()):
+            window = np.hanning(last - first)[:, np.newaxis]
+            power = np.square(np.abs(np.fft.rfft(window * inputs[first:last], n_window, axis=0)))
+            total += power
+            kept = 1.0 - np.array([fold[r][first:last].mean() for fold in folds])
+            trained += kept[:, np.newaxis, np.newaxis] * power
+    missed = np.where(trained < LEAST_TRAINED * total, total, 0.0).sum(axis=1)
+    moves = total.sum(axis=0) > 0
+    return float((missed[:, moves] / total.sum(axis=0)[moves]).max(initial=0.0))
 
 
 def stretches_of(records: Sequence[Record], folds: Folds = "blocks") -> tuple[Stretch, ...]:
@@ -207,7 +253,8 @@ class Ground(Displayed):
     first_rows: tuple[int, ...]  # of each stretch in its record
     records: tuple[Record, ...]
     scaling: ChannelScaling
-    folds: tuple[tuple[BoolArray, ...], ...]  # [fold][record] rows held out
+    folds: Masks
+    n_blocks: int  # of each record, 0 where other rows are held out
     power: FloatArray
     n_lags: int
     by: Folds
@@ -223,13 +270,21 @@ def markov_lags(n_inputs: int, n_outputs: int) -> int:
     return int(np.clip(800 / np.sqrt(max(1, n_inputs) * n_outputs), 120, 400))
 
 
-def prepare_ground(records: Sequence[Record], by: Folds = "blocks", *, measured: Sequence[BoolArray] = ()) -> Ground:
+def prepare_ground(
+    records: Sequence[Record],
+    by: Folds = "blocks",
+    *,
+    measured: Sequence[BoolArray] = (),
+    n_blocks: int = 0,
+) -> Ground:
     """Folds, scaled channels and bridged gaps, once for all candidates; `records` are of one system, means removed.
 
     What was filled, (n_samples, n_outputs) of each record False in `measured`, trains observers and scores nothing.
+    The number of blocks is that of another ground where the folds of both are compared.
     """
     scaling = channel_scaling(records)
-    folds = folds_of(records, by, turns_of(measured, N_TURNS))
+    n_blocks = n_blocks or (n_blocks_of(records) if by == "blocks" else 0)
+    folds = folds_of(records, by, turns_of(measured, N_TURNS), n_blocks=n_blocks)
     whole = tuple(scaled_record(record, scaling) for record in filled(records))
     if not records[0].n_inputs:
         whole = tuple(driven_by_outputs(record) for record in whole)
@@ -257,6 +312,7 @@ def prepare_ground(records: Sequence[Record], by: Folds = "blocks", *, measured:
         records=tuple(records),
         scaling=scaling,
         folds=folds,
+        n_blocks=n_blocks,
         power=np.array([_held_out_power(scaled, _samples(fold, own)) for fold in held_out]),
         n_lags=markov_lags(records[0].n_inputs, records[0].n_outputs),
         grams={},

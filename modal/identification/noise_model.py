@@ -158,7 +158,7 @@ def noise_model(
         fit, ratio = _apart(fit, ratio, start.order, data, start.dt)
     whole = innovation_form(fit.step, start.dt)
     system = _system_part(whole, start.order, data) if start.n_inputs else whole
-    why_not = ""
+    why_not = "" if system.order else "keeps no state of the system"
     if np.abs(np.linalg.eigvals(system.A)).max(initial=0.0) >= 1.0 or _follows_inputs(fit.step, data):
         why_not = "is not stable, or its errors still follow the inputs"
     elif reference is not None and not feedback and _strays(system, reference, scaled, rows):

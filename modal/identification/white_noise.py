@@ -148,7 +148,8 @@ def _better_in_white(
     """
     found = behind.found
     try:
-        here, there = found.ground, prepare_ground(behind.records, found.ground.by, measured=behind.measured)
+        here = found.ground
+        there = prepare_ground(behind.records, here.by, measured=behind.measured, n_blocks=here.n_blocks)
     except IdentificationError:
         return None, None
     data = output_error_data(here), output_error_data(there)

@@ -18,10 +18,12 @@ from era.balanced import HankelDecomposition, decompose, realise_from
 from era.realisation import Realisation
 from modal.estimation.cross_validation import (
     Folds,
+    Masks,
     hankel_limits,
     markov_lags,
     scaled_model,
     scaled_record,
+    shared_blocks,
     turns_of,
 )
 from modal.estimation.fits import model_runs
@@ -105,7 +107,7 @@ def repeat(
         )
         one = reduce(operator.add, turns)
     else:
-        first_half = tuple(_every_second_block(record.n_samples) for record in records)
+        first_half = _first_half(records)
         one = lag_gram(records, observer_order, scaling=scaling, rows=first_half)
     other_order = _other_observer(observer_order, model_order, records[0].n_outputs)
     other_ridge = max(SMALLEST_RIDGE, 3.0 * ridge)
@@ -168,7 +170,7 @@ def _canonical_reruns(records: Sequence[Record], scaling: ChannelScaling, past: 
     """The same from canonical variates of the outputs' past: halves, a longer past, other orders."""
     longer = round(past / OBSERVER_SHARE)
     whole = lag_gram(records, past, scaling=scaling)
-    first_half = tuple(_every_second_block(record.n_samples) for record in records)
+    first_half = _first_half(records)
     one = lag_gram(records, past, scaling=scaling, rows=first_half)
     runs = []
 
@@ -333,12 +335,15 @@ def _gain(
     return driven_gain(modes, records, runs.left, rows=unseen)
 
 
-def _every_second_block(n_samples: int) -> BoolArray:
-    edges = np.round(np.linspace(0, n_samples, 11)).astype(int)
-    mask = np.zeros(n_samples, dtype=np.bool_)
-    for first, last in zip(edges[:-1:2], edges[1::2], strict=True):
-        mask[first:last] = True
-    return mask
+def _first_half(records: Sequence[Record]) -> tuple[BoolArray, ...]:
+    """(n_samples,) a record, True in every second block; blocks in which both halves are driven at all frequencies."""
+
+    def halves(n_blocks: int) -> Masks:
+        edges = [np.linspace(0, record.n_samples, n_blocks + 1).round() for record in records]
+        blocks = [np.searchsorted(own[1:], np.arange(own[-1]), side="right") for own in edges]
+        return tuple(own % 2 == 0 for own in blocks), tuple(own % 2 == 1 for own in blocks)
+
+    return halves(shared_blocks(records, halves))[0]
 
 
 def _carried(gram: LagGram, model_order: int) -> LagGram:

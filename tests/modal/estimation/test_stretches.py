@@ -5,7 +5,15 @@ import pytest
 from signals import random_inputs, with_noise
 from systems import random_system, simulate
 
-from modal.estimation.cross_validation import BLOCKS, LONGEST_SCORED, STRETCH, folds_of, is_long, stretches_of
+from modal.estimation.cross_validation import (
+    BLOCKS,
+    LONGEST_SCORED,
+    STRETCH,
+    folds_of,
+    is_long,
+    n_blocks_of,
+    stretches_of,
+)
 from modal.identification.pipeline import identify
 from okid.record import Record
 from okid.rows import interleaved_folds, whole_record_folds
@@ -39,6 +47,33 @@ def test_whole_records_are_held_out_only_where_others_show_every_input(driven, e
     records = [Record(rng.standard_normal((100, 2)) * on, rng.standard_normal((100, 1)), 0.01) for on in driven]
     for mine, theirs in zip(folds_of(records), expected(records), strict=True):
         assert all(np.array_equal(a, b) for a, b in zip(mine, theirs, strict=True))
+
+
+def sweep(n_samples, duration, low, high):
+    time = np.linspace(0.0, duration, n_samples, endpoint=False)
+    return np.sin(2 * np.pi * (low * time + (high - low) * time**2 / (2 * duration)))
+
+
+@pytest.mark.parametrize(("n_samples", "duration"), [(20_000, 40.0), (5_000, 10.0), (60_000, 120.0)])
+def test_blocks_of_a_sweep_are_so_short_that_every_fold_trains_every_frequency(n_samples, duration):
+    force = sweep(n_samples, duration, 3.0, 200.0)
+    record = Record(force, force, duration / n_samples)
+    n_blocks = n_blocks_of([record])
+    assert 0.5 <= n_blocks / np.sqrt(197.0 * duration) <= 2.0
+    every = np.square(np.abs(np.fft.rfft(force)))
+    frequencies = np.fft.rfftfreq(n_samples, record.dt)
+    for fold in folds_of([record]):
+        left = np.square(np.abs(np.fft.rfft(np.where(fold[0], 0.0, force))))
+        for low in np.arange(10.0, 190.0, 10.0):
+            band = (frequencies >= low) & (frequencies < low + 10.0)
+            assert left[band].sum() > 0.1 * every[band].sum()
+
+
+def test_whole_records_that_each_sweep_their_own_band_do_not_stand_for_each_other():
+    bands = [(2.0 + 10.0 * k, 12.0 + 10.0 * k) for k in range(4)]
+    forces = [sweep(4000, 40.0, *band) for band in bands]
+    assert n_blocks_of([Record(force, force, 0.01) for force in forces]) > BLOCKS
+    assert n_blocks_of([Record(forces[0], forces[0], 0.01)] * 4) == 0
 
 
 @pytest.mark.parametrize("lengths", [(200_000,), (35_000,), (4_000,) * 12, (500, 120_000)])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.signal import butter, chirp, sosfiltfilt
+from scipy.signal import butter, chirp, lfilter, sosfilt, sosfiltfilt
 from signals import with_noise
 from systems import modal_system, simulate
 
@@ -71,6 +71,47 @@ def test_a_mode_that_one_part_alone_drives_does_not_take_the_others_with_it(seed
     assert late == pytest.approx(20.0, rel=1e-3)
     assert early == pytest.approx([6.0][: len(early)], rel=5e-3)  # a mode, whether or not 350 rows make it certain
     assert halves(result)[-1] > 0.95
+
+
+RATE = 500.0
+TIGHT = (7.6, 11.7, 14.5, 18.7, 21.1)
+TIGHT_DAMPING = (0.026, 0.01, 0.016, 0.024, 0.004)
+
+
+def swept_past(seed, *, frequencies=TIGHT, duration=10.0, ends=(3.0, 200.0), noise=0.007, n_outputs=2, colour=0.0):
+    """A sweep up to 200 Hz that meets all modes in 7 % of the record; eight times oversampled, filtered, decimated."""
+    rng, over = np.random.default_rng((seed, 8)), 8
+    time = np.arange(int(over * RATE * duration)) / (over * RATE)
+    force = chirp(time, ends[0], duration, ends[1]) * np.minimum(1.0, 10.0 * np.minimum(time, duration - time))
+    motion = np.zeros((time.size, n_outputs))
+    for frequency, damping in zip(frequencies, TIGHT_DAMPING, strict=False):
+        w = 2 * np.pi * frequency
+        pole = w * (-damping + 1j * np.sqrt(1 - damping**2))
+        step = np.exp(pole / (over * RATE))
+        state = lfilter([0.0, (step - 1) / pole], [1.0, -step], force.astype(complex))
+        shape = rng.uniform(0.5, 1.0, n_outputs) * rng.choice([-1.0, 1.0], n_outputs)
+        motion += np.outer((state / (1j * pole.imag)).real * w, shape)
+    filtered = butter(6, 0.4 * RATE, fs=over * RATE, output="sos")
+    u, y = (sosfilt(filtered, one, axis=0)[::over] for one in (force[:, None], motion))
+    scatter = np.where(y.std(axis=0) > 0, noise * y.std(axis=0), 1.0)
+    errors = lfilter([np.sqrt(1 - colour**2)], [1.0, -colour], rng.standard_normal(y.shape), axis=0)
+    return Record(u, y + scatter * errors, 1 / RATE)
+
+
+@pytest.mark.parametrize(("seed", "ends"), [(2, (200.0, 4.0)), (4, (200.0, 4.0)), (11, (3.0, 200.0))])
+def test_modes_that_a_sweep_passes_in_one_tenth_of_the_record_are_found_in_both_halves(seed, ends):
+    """A fold or half of tenths held all five modes or none: up to five were not found, or called noise."""
+    result = identify(swept_past(seed, ends=ends))
+    assert of_system(result) == pytest.approx(TIGHT, rel=2e-3)
+    assert min(halves(result)) > 0.75
+    for mode, frequency in zip(sorted(result.modes.system, key=lambda mode: mode.frequency), TIGHT, strict=True):
+        assert abs(mode.frequency - frequency) < 5.0 * mode.frequency_std
+
+
+def test_a_sweep_that_nothing_follows_shows_no_mode():
+    """A model of the noise without a state of the system ended in a traceback."""
+    result = identify(swept_past(4, frequencies=(), duration=5.0, colour=0.8))
+    assert not of_system(result)
 
 
 def lost_in_one_half(evidence):
