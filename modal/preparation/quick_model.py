@@ -93,12 +93,15 @@ def left_alone_and_together(records: Sequence[Record], left: Sequence[FloatArray
     return alone / power, together / power
 
 
-def choose_skew(records: Sequence[Record], factor: int = 1) -> Skew:
+def choose_skew(
+    records: Sequence[Record], factor: int = 1, *, known: tuple[Sequence[Record], QuickModel | None] | None = None
+) -> Skew:
     """How late outputs are against most others, as the shapes of a first model tell it beyond chance.
 
     Args:
         records: with inputs as they act.
         factor: by which they were decimated.
+        known: the same with channels of like size, and their model, where those were made.
 
     Example:
         >>> rng = np.random.default_rng(0)
@@ -114,8 +117,10 @@ def choose_skew(records: Sequence[Record], factor: int = 1) -> Skew:
     scaling = channel_scaling(records)
     if records[0].n_outputs < 2 or not records[0].n_inputs or scaling.constant_outputs or scaling.constant_inputs:
         return Skew()
-    scaled = [scaled_record(record, scaling) for record in records]
-    model = quick_model(scaled)
+    if known is None:
+        own = [scaled_record(record, scaling) for record in records]
+        known = own, quick_model(own)
+    scaled, model = known
     if model is None:
         return Skew()
     powers = [DERIVATIVES.get(unit) for unit in records[0].output_units]

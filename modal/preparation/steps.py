@@ -193,8 +193,9 @@ def prepare(
     looks_ahead = not number and (kind == "driven" or (rested is not None and rested.looks_ahead))
     delays = partial(_delays, given=input_delay, looks_ahead=looks_ahead, struck=rested is not None, factor=factor)
     delay, skew = delays(banded, measured), Skew()
+    as_tried = trials if factor == 1 and not any(delay.samples) else None
     if kind != "decay" and not number:
-        skew = choose_skew(late_inputs(banded, delay.samples), factor)
+        skew = _skew(late_inputs(banded, delay.samples), factor, as_tried)
     if any(skew.whole):
         banded, n_rest = on_time(banded, skew.whole), tuple(max(0, n + min(0, *skew.whole)) for n in n_rest)
         delay = delays(banded, on_time(measured, [factor * whole for whole in skew.whole]))
@@ -204,8 +205,8 @@ def prepare(
     elif number:
         drifting = integrator_drift(number, banded[0])
     else:
-        same = factor == 1 and not any((*delay.samples, *skew.whole))
-        drifting = choose_drift(late_inputs(summed, delay.samples), trials=trials if same else None)
+        as_tried = None if any(skew.whole) else as_tried
+        drifting = choose_drift(late_inputs(summed, delay.samples), trials=as_tried)
     freed = tuple(without_drift(record, n) if (n := drifting.n_functions) else record for record in summed)
     own = [_own_inputs(*three, number) for three in zip(banded, summed, freed, strict=True)]
     late, early = late_and_early(delay.samples)
@@ -243,6 +244,10 @@ def prepare(
         n_rest=tuple(max(0, n - late) for n in n_rest),
         at_rest=np.zeros((len(own), first.n_inputs)) if rested is None or number else rested.at_rest / factor,
     )
+
+
+def _skew(records: Sequence[Record], factor: int, trials: FreedTrials | None) -> Skew:
+    return choose_skew(records, factor, known=None if trials is None else (trials.records, trials.model(0, 0)))
 
 
 def _delays(
