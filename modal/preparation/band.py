@@ -24,6 +24,8 @@ COHERENT_POWER = 0.9999
 """Share of each output's coherent power that the band must hold: a mode left out moves less than 1 % of any output."""
 COLLINEAR = 1e-9
 """Add so much of its power to each input before they are told apart: two that are one have no inverse."""
+FEWEST_AVERAGES = 16
+"""Believe no coherence over segments of twice the length that are fewer: three lines that agree are chance."""
 WORTH = 0.95
 """Count half-overlapping Hann segments as this share of their number in averages, about."""
 LENGTHS = (64, 256, 1024)
@@ -87,7 +89,9 @@ def coherent_band(records: Sequence[Record]) -> Band:
             f"({n_averages} averages of {n_segment} samples)",
         )
     coherence = _multiple_coherence(spectra, n_inputs, n_averages)
-    upper = _upper_frequency(frequencies, spectra, coherence) or nyquist
+    # of a mode that rings on for longer than a segment the answer is in later ones: a longer one may show more
+    highest = _upper_frequency(frequencies, spectra, coherence), _upper_over(records, 2 * n_segment)
+    upper = max((one for one in highest if one is not None), default=nyquist)
     factor = _factor(records, upper)
     if factor == 1:
         reason = (
@@ -262,6 +266,16 @@ def share_that_follows(
         if near.any() and power[near].any():
             shares[i] = followed[near].sum() / power[near].sum()
     return shares
+
+
+def _upper_over(records: Sequence[Record], n_segment: int) -> float | None:
+    """Highest frequency at which segments of another length follow the inputs; None where none does or they are few."""
+    spectra, n_averages = _spectra(records, n_segment)
+    n_inputs = records[0].n_inputs
+    if n_averages < max(FEWEST_AVERAGES, 2 * n_inputs + 2):
+        return None
+    frequencies = np.asarray(np.fft.rfftfreq(n_segment, records[0].dt), dtype=np.float64)
+    return _upper_frequency(frequencies, spectra, _multiple_coherence(spectra, n_inputs, n_averages))
 
 
 def _upper_frequency(frequencies: FloatArray, spectra: ComplexArray, coherence: FloatArray) -> float | None:

@@ -247,6 +247,8 @@ def prepare(
 
 
 def _skew(records: Sequence[Record], factor: int, trials: FreedTrials | None) -> Skew:
+    if not records[0].n_inputs:  # nothing to make a model of
+        return Skew()
     return choose_skew(records, factor, known=None if trials is None else (trials.records, trials.model(0, 0)))
 
 

@@ -213,3 +213,24 @@ def test_the_units_of_channels_move_no_coherence():
     )
     np.testing.assert_allclose(first.coherence, second.coherence, atol=1e-12)
     assert first.reason == second.reason
+
+
+@pytest.mark.parametrize("seed", [3, 10, 11, 15])
+def test_modes_that_ring_on_for_longer_than_a_segment_lie_in_the_band(seed):
+    """A downward sweep passes them in the last seconds: what they go on to do follows nothing in later segments."""
+    rng = np.random.default_rng(seed)
+    truth = random_chain(
+        rng,
+        n_masses=5,
+        n_inputs=1,
+        sensor_kinds="displacement",
+        highest_share=0.041,
+        damping_ratio=0.006,
+        dt=0.002,
+    )
+    time = truth.dt * np.arange(10_000)
+    force = np.sin(2.0 * np.pi * (200.0 * time - 0.5 * (197.0 / time[-1]) * time**2))[:, np.newaxis]
+    moved = simulate(truth, force)[:, :2]
+    moved += 0.012 * moved.std(axis=0) * rng.standard_normal(moved.shape)
+    band = coherent_band([Record(force, moved, truth.dt).detrended()])
+    assert 0.5 / truth.dt / band.factor > 1.2 * 20.5
