@@ -51,7 +51,7 @@ MANY_RECORDS = 4
 ALIKE = 0.5
 """if the shortest is at least this share of the longest,"""
 LEAST_TRAINED = 0.01
-"""and if each input keeps this share of its power, at each frequency, when what a fold holds out is left out."""
+"""and if each input keeps this share of its size, at each frequency, when what a fold holds out is left out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -138,8 +138,10 @@ def n_blocks_of(records: Sequence[Record]) -> int:
     """
     lengths = [record.n_samples for record in records]
     alike = len(records) >= MANY_RECORDS and min(lengths) >= ALIKE * max(lengths) and not is_long(records)
-    if alike and _untrained(records, whole_record_folds(records), BLOCKS) <= LEAST_TRAINED:
-        return 0
+    if alike:  # the rows that a record keeps for its state are no other record's
+        whole = [[np.full(rows.size, rows.any()) for rows in fold] for fold in whole_record_folds(records)]
+        if _untrained(records, whole, BLOCKS) <= LEAST_TRAINED:
+            return 0
     return shared_blocks(records, lambda n: _blocks_held_out(records, n), _fewest_blocks(records))
 
 
@@ -177,21 +179,21 @@ def shared_blocks(records: Sequence[Record], cut: Callable[[int], Masks], fewest
     return best
 
 
-def _untrained(records: Sequence[Record], folds: Masks, n_blocks: int) -> float:
-    """Largest share of an input's power at frequencies of whose power there a fold leaves less than `LEAST_TRAINED`."""
+def _untrained(records: Sequence[Record], folds: Sequence[Sequence[BoolArray]], n_blocks: int) -> float:
+    """Largest share of an input's power at frequencies of whose size there a fold leaves less than `LEAST_TRAINED`."""
     edges = [np.linspace(0, record.n_samples, n_blocks + 1).round().astype(int) for record in records]
     n_window = 1 << int(max(np.diff(own).max() for own in edges)).bit_length()
     total = np.zeros((n_window // 2 + 1, records[0].n_inputs))
     trained = np.zeros((len(folds), *total.shape))
     for r, (record, own) in enumerate(zip(records, edges, strict=True)):
         inputs = np.nan_to_num(record.inputs - np.nanmean(record.inputs, axis=0))
-        for first, last in itertools.pairwise(own.tolist()):
+        for first, last in itertools.pairwise(np.unique(own).tolist()):
             window = np.hanning(last - first)[:, np.newaxis]
             power = np.square(np.abs(np.fft.rfft(window * inputs[first:last], n_window, axis=0)))
             total += power
             kept = 1.0 - np.array([fold[r][first:last].mean() for fold in folds])
             trained += kept[:, np.newaxis, np.newaxis] * power
-    missed = np.where(trained < LEAST_TRAINED * total, total, 0.0).sum(axis=1)
+    missed = np.where(trained < LEAST_TRAINED**2 * total, total, 0.0).sum(axis=1)
     moves = total.sum(axis=0) > 0
     return float((missed[:, moves] / total.sum(axis=0)[moves]).max(initial=0.0))
 

@@ -89,10 +89,12 @@ def coherent_band(records: Sequence[Record]) -> Band:
             f"({n_averages} averages of {n_segment} samples)",
         )
     coherence = _multiple_coherence(spectra, n_inputs, n_averages)
-    # of a mode that rings on for longer than a segment the answer is in later ones: a longer one may show more
-    highest = _upper_frequency(frequencies, spectra, coherence), _upper_over(records, 2 * n_segment)
-    upper = max((one for one in highest if one is not None), default=nyquist)
+    upper = _upper_frequency(frequencies, spectra, coherence) or nyquist
     factor = _factor(records, upper)
+    # of a mode that rings on for longer than a segment the answer is in later ones, and a longer one shows it
+    longer = _upper_over(records, 2 * n_segment)
+    if longer > nyquist / factor:
+        upper, factor = longer, _factor(records, longer)
     if factor == 1:
         reason = (
             f"the outputs follow the inputs up to {upper:.4g} Hz of {nyquist:.4g} Hz: nothing to gain from decimation"
@@ -268,14 +270,14 @@ def share_that_follows(
     return shares
 
 
-def _upper_over(records: Sequence[Record], n_segment: int) -> float | None:
-    """Highest frequency at which segments of another length follow the inputs; None where none does or they are few."""
+def _upper_over(records: Sequence[Record], n_segment: int) -> float:
+    """Highest frequency at which segments of another length follow the inputs; 0 where none does or they are few."""
     spectra, n_averages = _spectra(records, n_segment)
     n_inputs = records[0].n_inputs
     if n_averages < max(FEWEST_AVERAGES, 2 * n_inputs + 2):
-        return None
+        return 0.0
     frequencies = np.asarray(np.fft.rfftfreq(n_segment, records[0].dt), dtype=np.float64)
-    return _upper_frequency(frequencies, spectra, _multiple_coherence(spectra, n_inputs, n_averages))
+    return _upper_frequency(frequencies, spectra, _multiple_coherence(spectra, n_inputs, n_averages)) or 0.0
 
 
 def _upper_frequency(frequencies: FloatArray, spectra: ComplexArray, coherence: FloatArray) -> float | None:

@@ -59,7 +59,7 @@ def test_blocks_of_a_sweep_are_so_short_that_every_fold_trains_every_frequency(n
     force = sweep(n_samples, duration, 3.0, 200.0)
     record = Record(force, force, duration / n_samples)
     n_blocks = n_blocks_of([record])
-    assert 0.5 <= n_blocks / np.sqrt(197.0 * duration) <= 2.0
+    assert 0.4 <= n_blocks / np.sqrt(197.0 * duration) <= 2.0
     every = np.square(np.abs(np.fft.rfft(force)))
     frequencies = np.fft.rfftfreq(n_samples, record.dt)
     for fold in folds_of([record]):
@@ -72,8 +72,14 @@ def test_blocks_of_a_sweep_are_so_short_that_every_fold_trains_every_frequency(n
 def test_whole_records_that_each_sweep_their_own_band_do_not_stand_for_each_other():
     bands = [(2.0 + 10.0 * k, 12.0 + 10.0 * k) for k in range(4)]
     forces = [sweep(4000, 40.0, *band) for band in bands]
-    assert n_blocks_of([Record(force, force, 0.01) for force in forces]) > BLOCKS
+    assert n_blocks_of([Record(force, force, 0.01) for force in forces]) >= BLOCKS
     assert n_blocks_of([Record(forces[0], forces[0], 0.01)] * 4) == 0
+
+
+def test_a_quake_is_held_out_in_long_blocks():
+    """What is left moves at all its frequencies, if thirty times less; short blocks would leave short observers."""
+    force = np.random.default_rng(0).standard_normal(4000) * np.where(np.arange(4000) // 400 == 3, 1.0, 0.03)
+    assert n_blocks_of([Record(force, force, 0.01)]) == BLOCKS
 
 
 @pytest.mark.parametrize("lengths", [(200_000,), (35_000,), (4_000,) * 12, (500, 120_000)])
