@@ -197,8 +197,8 @@ def _beside_forces(trials: FreedTrials) -> list[list[_Line]]:
         run = _after_runs(outputs, model, records)
         before, likely = likely, _in_any([()] * len(records), run, MOST_APART)
         found = [
-            _borne_out(_rung_on(left, model.form.poles, lines), replace(own, values=own.values - left.values), lines)
-            for own, left, lines in zip(outputs, run, likely, strict=True)
+            _borne_out(_rung_on(left, model.form.poles, lines), record.inputs, lines)
+            for record, left, lines in zip(records, run, likely, strict=True)
         ]
         if _settled(records, before, likely) or (n_rounds >= FEWEST_ROUNDS and not any(found)):
             break
@@ -232,16 +232,22 @@ def _settled(records: Sequence[Record], before: Sequence[Sequence[_Line]], now: 
     )
 
 
-def _borne_out(rung: _Left, answer: _Left, lines: Sequence[_Line]) -> list[_Line]:
-    """Those that hold once the others are off, and that are no part of a stronger line in what forces make."""
-    held = []
+def _borne_out(rung: _Left, inputs: FloatArray, lines: Sequence[_Line]) -> list[_Line]:
+    """Those that hold once the others are off, and that no input may have: what one has, a model may have missed."""
+    held = list[_Line]()
     for line in lines:
         others = [other for other in lines if other is not line]
         own = _line_near(rung.without(others), line.cycles, line.apart, apart=MOST_APART)
-        driven = _line_near(answer, line.cycles, line.apart, apart=MOST_APART)
-        if own is not None and (driven is None or np.linalg.norm(driven.size) < np.linalg.norm(own.size)):
+        if own is not None and not _stands_in(inputs, line.cycles):
             held.append(own)
     return held
+
+
+def _stands_in(inputs: FloatArray, cycles: float) -> bool:
+    """Whether an input stands out at a frequency with the same size and phase in most parts."""
+    sizes, noise = _parts(inputs, cycles, len(inputs) // N_PARTS)
+    size, weights = _robust_mean(sizes, noise)
+    return bool((np.square(np.abs(size)) * weights.sum(axis=0)).max() > STANDS_OUT)
 
 
 def _in_any(known: Sequence[Sequence[_Line]], left: Sequence[_Left], apart: float) -> list[list[_Line]]:

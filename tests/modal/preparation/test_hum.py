@@ -202,9 +202,9 @@ def test_multiples_of_a_tone_that_acts_are_no_lines():
 def test_what_a_model_misses_of_a_tone_in_the_force_is_no_line(seed):
     """A first model has too few states for this one, and errs by a share of all that it makes."""
     rng = np.random.default_rng(seed)
-    force = rng.standard_normal(6000) + 0.15 * np.sin(0.7 * np.arange(6000))
-    answer = np.convolve(force, rng.standard_normal(300) * 0.99 ** np.arange(300))[:6000]
-    record = Record(force, answer + 1e-3 * answer.std() * rng.standard_normal(6000), 0.01)
+    force = rng.standard_normal(9000) + 0.3 * np.sin(0.7 * np.arange(9000))
+    answer = np.convolve(force, rng.standard_normal(300) * 0.99 ** np.arange(300))[:9000]
+    record = Record(force, answer + 1e-3 * answer.std() * rng.standard_normal(9000), 0.01)
     assert not lines_beside_forces([record], FreedTrials.of([record])).frequencies.size
 
 
