@@ -121,7 +121,7 @@ def lines_beside_forces(records: Sequence[Record], trials: FreedTrials) -> Machi
 
     Args:
         records: about their means.
-        trials: of them, with gaps filled.
+        trials: of them.
 
     Example:
         >>> rng = np.random.default_rng(0)
@@ -194,7 +194,7 @@ def _beside_forces(trials: FreedTrials) -> list[list[_Line]]:
         model = quick_model(_less(records, likely)) if any(likely) else trials.model(0, 0)
         if model is None:
             break
-        run = _after_runs(outputs, model, records)
+        run = [_bridged(left, lines) for left, lines in zip(_after_runs(outputs, model, records), likely, strict=True)]
         before, likely = likely, _in_any([()] * len(records), run, MOST_APART)
         found = [
             _borne_out(_rung_on(left, model.form.poles, lines), record.inputs, lines)
@@ -223,6 +223,12 @@ def _after_runs(outputs: Sequence[_Left], model: QuickModel, records: Sequence[R
         replace(own, values=own.values - run_from_rest(model.form, record.inputs))
         for own, record in zip(outputs, records, strict=True)
     ]
+
+
+def _bridged(left: _Left, lines: Sequence[_Line]) -> _Left:
+    """With what the lines do where a sample is missing: what is known of them so far, the more with each turn."""
+    there = np.isfinite(left.values)
+    return left if there.all() else replace(left, values=np.where(there, left.values, _sinusoids(len(there), lines)))
 
 
 def _settled(records: Sequence[Record], before: Sequence[Sequence[_Line]], now: Sequence[Sequence[_Line]]) -> bool:

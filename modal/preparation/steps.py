@@ -8,7 +8,6 @@ from typing import Literal
 import numpy as np
 
 from era.realisation import Realisation
-from modal.estimation.free_run import filled
 from modal.modes.mode import Choice, ModalModel
 from modal.modes.skew import Skew, on_time, rows_on_time, turned_back
 from modal.preparation.band import coherent_band
@@ -172,13 +171,11 @@ def prepare(
         raise InvalidDataError(f'missing must be "fill" or "leave", but is {missing!r}.')
     mend = mended(records, driven=kind == "driven" and first.n_inputs > 0) if mend is None else mend
     parts, gaps = _parts(mend.records)
-    lines, rested, floor, trials = _about_rest_without_lines(parts, kind)
-    centred = lines.records
-    filling = _filling(lines.records, missing)
-    trials = FreedTrials.of(filling.records) if trials is None else trials
+    lines, rested, floor = _about_rest_without_lines(parts, kind)
+    lines, filling, trials = _filled_without_lines(lines, kind, missing)
     integrating = choose_integrators(filling.records, trials=trials) if given is None else given
     number = integrating.number
-    n_rest: tuple[int, ...] = (0,) * len(centred) if rested is None else rested.n_rest
+    n_rest: tuple[int, ...] = (0,) * len(parts) if rested is None else rested.n_rest
     measured = tuple(one.samples(n) for one, n in zip(filling.records, n_rest, strict=True))
     if kind == "decay":  # nobody measured a release
         measured = tuple(one.select(inputs=[]) for one in measured)
@@ -282,22 +279,30 @@ def _delays(
 
 def _about_rest_without_lines(
     records: tuple[Record, ...], kind: RecordKind
-) -> tuple[MachineLines, Rested | None, tuple[Choice, ...], FreedTrials | None]:
-    """Records about their mean or level at rest, less lines in them; what rests; the sensors' floor; models of them."""
+) -> tuple[MachineLines, Rested | None, tuple[Choice, ...]]:
+    """Records about their mean or level at rest, less lines that are told so far; what rests; the sensors' floor."""
     if kind in ("transient", "decay"):
         none = MachineLines(records=records, frequencies=np.empty(0))
         lines = lines_beside_blows(records) if kind == "transient" else none
         rested = with_rest(lines.records)
-        return replace(lines, records=rested.records), rested, (), None
+        return replace(lines, records=rested.records), rested, ()
     centred, floor = tuple(one.detrended() for one in records), tuple[Choice, ...]()
-    if kind == "driven" and records[0].n_inputs:
-        trials = FreedTrials.of(filled(centred))
-        lines = lines_beside_forces(centred, trials)
-        same = not lines.frequencies.size and all(one.complete_rows().all() for one in centred)
-        return lines, None, floor, trials if same else None
     if kind == "ambient":
         centred, floor = no_finer_than_sensors(centred)
-    return machine_lines(centred), None, floor, None
+    return machine_lines(centred), None, floor
+
+
+def _filled_without_lines(
+    lines: MachineLines, kind: RecordKind, missing: Literal["fill", "leave"]
+) -> tuple[MachineLines, Filling, FreedTrials]:
+    """Records filled, of driven ones less the lines beside their forces, and first models of them."""
+    filling = _filling(lines.records, missing)
+    trials = FreedTrials.of(filling.records)
+    if kind == "driven" and lines.records[0].n_inputs:
+        lines = lines_beside_forces(filling.records, trials)
+        if lines.frequencies.size:
+            filling, trials = replace(filling, records=lines.records), FreedTrials.of(lines.records)
+    return lines, filling, trials
 
 
 def _measured_share(filling: Filling, rested: Rested | None) -> float:

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from systems import modal_system, simulate, three_modes
 
-from modal.estimation.free_run import filled
 from modal.identification.pipeline import identify
 from modal.preparation.drift import FreedTrials
 from modal.preparation.hum import lines_beside_blows, lines_beside_forces
@@ -213,10 +212,12 @@ def test_missing_samples_beside_forces_stay_missing():
     record, standing, noise = driven(rng, truth, forces(rng, truth, "noise"), hum=0.03)
     outputs = record.outputs.copy()
     outputs[rng.random(outputs.shape) < 0.001] = np.nan
+    outputs[700:1100, 1] = np.nan
     holed = Record(record.inputs, outputs, record.dt)
-    (freed,) = lines_beside_forces([holed], FreedTrials.of(filled([holed]))).records
+    (freed,) = lines_beside_forces([holed], FreedTrials.of([holed])).records
     np.testing.assert_array_equal(np.isnan(freed.outputs), np.isnan(outputs))
-    assert np.sqrt(np.nanmean(np.square(freed.outputs - (record.outputs - standing)))) < noise
+    left = freed.outputs - (record.outputs - standing)
+    assert np.sqrt(np.nanmean(np.square(left), axis=0)).max() < 0.2 * noise
 
 
 def test_a_structure_that_is_shaken_beside_mains_has_its_own_modes_alone():
