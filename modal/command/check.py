@@ -17,6 +17,7 @@ from modal.command.run import FileSource, own_warnings, refuse_sources, sizes
 from modal.command.terminal import Screen, listing, number_text, plain, progress_bar, say_beforehand
 from modal.preparation.channel import LEVELS, Finding
 from modal.quality.check import ChannelQuality, DataQuality, check_quality, expected_check
+from modal.quality.inputs import choices_beforehand
 from modal.wording.text import shorten, whole_percent
 from okid.errors import InvalidDataError
 from okid.readers.guard import complete_file
@@ -141,7 +142,7 @@ def carry_out_check(source: FileSource, json: Path | None) -> DataQuality:
         records, remarks = source.read()
         say_beforehand(*sizes(records), *expected_check(records))
         tell("looking at the data", 0.5)
-        quality = check_quality(records)
+        quality = check_quality(records, choices=choices_beforehand(records))
         if json is not None:
             _write(json, quality_json(quality, records))
     show_quality(Screen(highlight=False), quality, records, remarks=(*remarks, *heard))

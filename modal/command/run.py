@@ -313,7 +313,7 @@ def carry_out(
         if point is not None and result.modes.system:
             result = with_modal_mass(result, driving_point=point)
         tell("looking at the quality of the data", IDENTIFIED)
-        quality = None if isinstance(records, FrequencyResponse) else check_quality(records)
+        quality = None if isinstance(records, FrequencyResponse) else check_quality(records, choices=result.choices)
         if viewer is not None:
             log_result(result, viewer, geometry=geometry)
         tell("writing the report and the recording", IDENTIFIED)

@@ -50,6 +50,8 @@ STARTS = 4
 """Climb from the delays against each of so many outputs that hear the modes best, and from none."""
 ROUNDS = 20
 """Stop after so many rounds over all outputs, where most need three."""
+SKEWED = "output skew"
+"""Call the choice so."""
 MOST_NAMED = 6
 """Name so many outputs in a sentence, which then counts the others."""
 
@@ -95,7 +97,7 @@ class Skew:
             "(which shows early what it samples late), a second logger or another filter; that was taken off. Check "
             "clocks and filters of these channels."
         )
-        return cls(tuple(late), (Choice(what="output skew", value=words, reason=why),), (text,))
+        return cls(tuple(late), (Choice(what=SKEWED, value=words, reason=why),), (text,))
 
     @property
     def whole(self) -> tuple[int, ...]:

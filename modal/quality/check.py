@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from modal.modes.mode import Choice
 from modal.modes.response_synthesis import MeasuredFrf, measured_frf_of
 from modal.preparation.amplitude import (
     clipping_findings,
@@ -46,7 +47,13 @@ from modal.quality.channels import (
     white_findings,
 )
 from modal.quality.coherence import Shares, coherence_findings, explained_share, modelled_share
-from modal.quality.inputs import copy_findings, excitation_findings, timing_findings, together_findings
+from modal.quality.inputs import (
+    copy_findings,
+    excitation_findings,
+    skew_findings,
+    timing_findings,
+    together_findings,
+)
 from okid.arrays import BoolArray, FloatArray, with_numbers
 from okid.display import Displayed, table_of_columns
 from okid.frequency_response import FEWEST_AVERAGES, AveragedSpectra, averaged_spectra, segment_length
@@ -228,7 +235,7 @@ def expected_check(records: Sequence[Record]) -> tuple[tuple[float, float], floa
     return (least, most), BEFORE_RECORDS + COPIES * values * np.dtype(float).itemsize
 
 
-def check_quality(records: Record | Sequence[Record]) -> DataQuality:
+def check_quality(records: Record | Sequence[Record], *, choices: Sequence[Choice] = ()) -> DataQuality:
     """Look at the records as a test engineer would before anything is fitted to them.
 
     Every channel is looked at by itself (dead, stuck, clipped, coarse, spikes, gaps, offset, hum, level), then the
@@ -237,6 +244,8 @@ def check_quality(records: Record | Sequence[Record]) -> DataQuality:
 
     Args:
         records: one record or several of one system.
+        choices: what was chosen for them (`Identification.choices`): of outputs that are late by parts of a sample only
+            a first model tells, which `modal-report check` makes, too.
 
     Raises:
         InvalidDataError: records that do not belong together, or copies of one another.
@@ -268,6 +277,7 @@ def check_quality(records: Record | Sequence[Record]) -> DataQuality:
         explained = float(spectra.shares.explained[channel.index]) if channel.role == "output" else float("nan")
         statistics.append(_statistics(channel, resolution, spectra.frequencies, density, explained))
     findings += _findings_together(standing, spectra, densities, findings)
+    findings += skew_findings(first, choices)
     findings.sort(key=lambda finding: LEVELS.index(finding.level))
     return DataQuality(
         channels=_channels(first, statistics, findings),

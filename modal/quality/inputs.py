@@ -11,10 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from modal.modes.mode import Choice
 from modal.modes.response_synthesis import MeasuredFrf
+from modal.modes.skew import SKEWED
 from modal.preparation.channel import FITTED_ROWS, MOST_ROWS, MOSTLY, SERIOUS, Finding, Level, named, spoken
 from modal.preparation.delay import LEAST_DELAY, choose_input_delay, pulse_steps
-from modal.wording.text import percent
+from modal.preparation.kind import find_kind
+from modal.preparation.steps import prepare
+from modal.wording.text import percent, shorten
 from okid.arrays import ROUNDED, TINY, FloatArray
 from okid.errors import IdentificationError
 from okid.excitation import DYNAMIC_RANGE, check_excitation
@@ -251,6 +255,38 @@ def timing_findings(records: Sequence[Record], moving: Sequence[int]) -> list[Fi
             )
         )
     return found
+
+
+def choices_beforehand(records: Sequence[Record]) -> tuple[Choice, ...]:
+    """What preparation would choose for the first rows of these records; nothing where it refuses them."""
+    rows = max(1, MOST_ROWS // len(records))
+    parts = [record.samples(0, min(record.n_samples, rows)) for record in records]
+    try:
+        return prepare(parts, kind=find_kind(parts).kind).choices
+    except IdentificationError:
+        return ()
+
+
+def skew_findings(record: Record, choices: Sequence[Choice]) -> list[Finding]:
+    """Outputs that were found late against the others (`modal.modes.skew`).
+
+    Args:
+        record: one of those looked at, for its names.
+        choices: what was chosen for them.
+    """
+    return [
+        Finding(
+            level="doubtful",
+            what="late",
+            where="outputs against one another",
+            sentence=f"the motion shows in {choice.value} against the other outputs, as behind a multiplexed converter "
+            "(which shows early what it samples late), a second logger or another filter: check the clocks and filters "
+            "of these channels; the identification takes it off.",
+            channels=tuple(name for name in record.output_names if f"{shorten(name)!r} " in choice.value),
+        )
+        for choice in choices
+        if choice.what == SKEWED
+    ]
 
 
 def _told_twice(early: dict[int, FloatArray], n_inputs: int, n_outputs: int) -> dict[int, FloatArray]:

@@ -278,7 +278,7 @@ def gather(identification: Identification, quality: DataQuality | None = None) -
             fine_frequencies = np.linspace(0.0, measured.frequencies[-1], step * (n_lines - 1) + 1)
             fine = frf(identification.realisation, fine_frequencies)
             fine = np.where(np.isfinite(fine), fine, np.nan)
-        quality = quality or check_quality(identification.records)
+        quality = quality or check_quality(identification.records, choices=identification.choices)
     frequencies = quality.frequencies[quality.frequencies <= 0.5 / identification.realisation.dt * (1 + ROUNDED)]
     return Gathered(
         quality=quality,

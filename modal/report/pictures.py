@@ -121,7 +121,9 @@ def setting_of(
     return Setting(
         specification=specification,
         geometry=known,
-        quality=check_quality(result.records) if quality is None and result.records else quality,
+        quality=check_quality(result.records, choices=result.choices)
+        if quality is None and result.records
+        else quality,
         quality_of="as used" if quality is None else "as read",
         outcomes=() if specification is None else check_limits(result, specification),
     )

@@ -10,8 +10,11 @@ import scipy
 from hard_records import FAMILIES
 
 import modal
+from modal.command.check import carry_out_check
+from modal.command.run import FileSource
 from modal.preparation.quick_model import choose_skew
 from modal.preparation.steps import prepare
+from modal.quality.check import check_quality
 from okid.record import Record
 
 FINER = 16
@@ -124,3 +127,20 @@ def test_identify_names_late_outputs_and_tells_modes_as_if_there_were_none():
         turned = mode.shape / mode.shape[np.abs(shape).argmax()] * shape[np.abs(shape).argmax()]
         np.testing.assert_allclose(turned, shape, atol=0.05)
         assert mode.phase_collinearity > 0.99
+
+
+def test_a_check_tells_what_is_late_with_the_channels_named(tmp_path, capsys):
+    """A check said that it found no fault where the identification said that outputs are late."""
+    record, *_ = recorded(1, (0, 0, 5, 0))
+    table = np.column_stack([record.inputs, record.outputs])
+    path = tmp_path / "skewed.csv"
+    np.savetxt(path, table, delimiter=",", header="force,a,b,c,d", comments="")
+    source = FileSource(files=[path], inputs=["force"], outputs=None, dt=0.01, hold="band_limited")
+    asked = carry_out_check(source, None)
+    assert " ".join(capsys.readouterr().out.split()).count("the motion shows in 'c' 0.3") == 1
+    named = Record(record.inputs, record.outputs, 0.01, output_names=["a", "b", "c", "d"])
+    told = check_quality(named, choices=prepare([named]).choices)
+    for quality in (asked, told):
+        assert [one.channels for one in quality.findings if one.what == "late"] == [("c",)]
+        assert [channel.level for channel in quality.channels] == ["good", "good", "good", "doubtful", "good"]
+    assert check_quality(named).level == "good"
