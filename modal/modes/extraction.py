@@ -239,7 +239,7 @@ def extract_modes(realisation: Realisation, *, decay_limit: float = DECAY_LIMIT)
     With lambda a discrete pole: s = ln(lambda) / dt, frequency |s| / (2 pi), damping ratio -Re(s) / |s|. Poles that
     die within a sample (|lambda| <= 1e-3 max(1, largest |lambda|): deadbeat, pure delay) are no modes, left out. A pole
     with |lambda| > 1 is "unstable" whatever its frequency, one on the negative real axis "nyquist", one on the positive
-    "real". Only unstable and Nyquist poles get a verdict here ("noise"); all others stay "doubtful" until the records
+    "real". Only poles that cannot be modes get a verdict here ("noise"); all others stay "doubtful" until the records
     have been asked again.
 
     Args:
@@ -289,7 +289,6 @@ def _mode(basis: ModalBasis, indicators: Indicators | None, index: int, realisat
     largest = complex(largest_component(shape[:, np.newaxis])[0])
     driven = basis.inputs[index] * largest * discrete**realisation.lead if realisation.n_inputs else []
     size = abs(pole)
-    is_noise = kind in ("unstable", "nyquist")
     mode = Mode(
         pole=pole,
         kind=kind,
@@ -297,14 +296,33 @@ def _mode(basis: ModalBasis, indicators: Indicators | None, index: int, realisat
         damping_ratio=-pole.real / size if size > 0 else np.nan,
         shape=frozen_complex(shape / largest, name="shape"),
         participation=frozen_complex(driven, name="participation"),
-        probability=0.0 if is_noise else np.nan,
-        verdict="noise" if is_noise else "doubtful",
     )
+    is_noise = cannot_be_a_mode(mode, realisation.dt)
+    if is_noise:
+        mode = replace(mode, probability=0.0, verdict="noise")
     words = [*remarks(mode, realisation.dt), *([] if is_noise else [NOT_JUDGED])]
     if not basis.separable[index]:
         words.append("its pole coincides with another one: shape and participation of the two cannot be told apart")
     mode = replace(mode, reason="; ".join(words))
     return mode if indicators is None else _with_indicators(mode, indicators, index)
+
+
+def cannot_be_a_mode(mode: Mode, dt: float) -> bool:
+    """Whether no samples `dt` apart can show such a mode, however often it is found again.
+
+    It grows, or its natural frequency |s| / (2 pi) lies above half of the sampling frequency: what moves so fast and is
+    damped so much that its pole still fits between the samples is an answer within a sample, as of a filter or a delay.
+
+    Example:
+        >>> one = np.ones(1)
+        >>> fast = Mode(
+        ...     pole=complex(-690, 290), kind="oscillatory", frequency=119.1, damping_ratio=0.92, shape=one,
+        ...     participation=one
+        ... )
+        >>> cannot_be_a_mode(fast, 1 / 200), cannot_be_a_mode(fast, 1 / 400)
+        (True, False)
+    """
+    return mode.kind in ("unstable", "nyquist") or (mode.kind == "oscillatory" and abs(mode.pole) * dt > np.pi)
 
 
 def _with_indicators(mode: Mode, indicators: Indicators, index: int) -> Mode:
@@ -337,6 +355,8 @@ def remarks(mode: Mode, dt: float) -> tuple[str, ...]:
         return (f"a negative real pole, at half the sampling frequency ({nyquist:.4g} Hz): no mode of the system",)
     if mode.kind == "real":
         return ("a real pole: overdamped or drift, not a vibration mode",)
+    if abs(mode.pole) * dt > np.pi:
+        return (f"a natural frequency above half of the sampling frequency ({nyquist:.4g} Hz): no mode of the system",)
     if abs(mode.pole.imag) / (2 * np.pi) >= (1 - NYQUIST_MARGIN) * nyquist:
         return (f"within {100 * NYQUIST_MARGIN:.0f} % of the Nyquist frequency {nyquist:.4g} Hz: may be an alias",)
     return ()

@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from modal.estimation.responses.force_dips import NARROW
-from modal.modes.extraction import NOT_JUDGED, remarks
+from modal.modes.extraction import NOT_JUDGED, cannot_be_a_mode, remarks
 from modal.modes.mode import Choice, ModalModel, Mode, Verdict
 from modal.modes.shape_comparison import (
     Pulses,
@@ -308,7 +308,8 @@ def judge(
         ratio = float(
             np.fmin(np.fmin(ratio, beside), own_band)
         )  # no more certain than the excitation at its frequency allows
-        p = probability(float(r[i]), ratio)
+        never = cannot_be_a_mode(mode, model.dt)
+        p = 0.0 if never else probability(float(r[i]), ratio)
         held_out = _mean_gain(found, reruns, i)
         unanswered = unanswered_doubt(mode, 0.0 if chance is None else float(chance[i]), held_out)
         driven = own_gain if np.isnan(held_out) else held_out
@@ -331,7 +332,7 @@ def judge(
             "other observer order and ridge": "depends on the observer order and ridge",
             "other model orders": _worse_order(found.parts[:, i], changes),
         }
-        verdict, words = _verdict(mode, p, ratio, numbers, worst)
+        verdict, words = ("noise", ()) if never else _verdict(p, ratio, numbers, worst)
         words = (*resonance.get(i, ()), *words)
         if primary[i] != i and mode.kind == "oscillatory":
             words = (f"second pole of the mode at {model.modes[primary[i]].frequency:.4g} Hz", *words)
@@ -368,7 +369,7 @@ def judge(
                 repeatability=float(r[i]),
                 reappears=tuple(numbers.items()),
                 gain=own_gain,
-                probability=0.0 if mode.kind in ("unstable", "nyquist") else p,
+                probability=p,
                 verdict=verdict,
                 doubts=deciding,
                 damping_resolved=not doubt,
@@ -542,10 +543,8 @@ def _worse_half(reruns: Reruns, index: int) -> str:
 
 
 def _verdict(
-    mode: Mode, p: float, ratio: float, numbers: dict[str, float], worst: dict[str, str]
+    p: float, ratio: float, numbers: dict[str, float], worst: dict[str, str]
 ) -> tuple[Verdict, tuple[str, ...]]:
-    if mode.kind in ("unstable", "nyquist"):
-        return "noise", ()
     if np.isnan(p):
         return "doubtful", (NOT_JUDGED,)
     shown = ", ".join(f"{group} {value:.2f}" for group, value in numbers.items())

@@ -84,7 +84,8 @@ def test_residues_add_up_to_the_pulse_response():
     ("pole", "kind", "verdict"),
     [
         (0.9 * np.exp(0.3j), "oscillatory", "doubtful"),
-        (0.9 * np.exp(3.14j), "oscillatory", "doubtful"),
+        (0.9 * np.exp(3.13j), "oscillatory", "doubtful"),
+        (0.9 * np.exp(3.14j), "oscillatory", "noise"),  # a natural frequency above half of the sampling frequency
         (1.0 * np.exp(0.3j), "oscillatory", "doubtful"),
         ((1 + 1e-7) * np.exp(0.3j), "unstable", "noise"),
         (1.01 * np.exp(3.1j), "unstable", "noise"),

@@ -176,7 +176,12 @@ def test_the_smallest_part_is_named(parts, words):
 
 
 @pytest.mark.parametrize(
-    ("mode", "words"), [(vibration(damping=-0.01), "grows in time"), (on_real_axis(-0.9), "a negative real pole")]
+    ("mode", "words"),
+    [
+        (vibration(damping=-0.01), "grows in time"),
+        (on_real_axis(-0.9), "a negative real pole"),
+        (vibration(60.0, 0.9), "a natural frequency above half of the sampling frequency (50 Hz)"),
+    ],
 )
 def test_a_pole_that_cannot_be_a_mode_is_noise_however_well_it_repeats(mode, words):
     again = model_of(mode)
