@@ -7,7 +7,8 @@ free run to score: the one-step prediction of the reduced model takes its place.
 
 The search is coarse to fine. A scout looks at a coarse grid on one fold; the most promising candidates go on to all
 folds; the neighbours of the best are scouted and, where they are promising too, go on as well, until no neighbour is
-better (so a grid that ends too early extends). Model orders are coarse until two observers are left.
+better (so a grid that ends too early extends). Model orders are coarse until two observers are left, and go on beyond
+the grid as long as the largest one is the best.
 """
 
 from collections.abc import Callable, Sequence
@@ -27,6 +28,8 @@ from okid.rows import as_records, check_enough_rows
 OBSERVER_ORDERS = (1, 2, 4, 8, 16, 32, 64, 128, 256)
 RIDGES = (0.0, 1e-5, 1e-3, 1e-1)
 MODEL_ORDERS = (*range(1, 13), 14, 16, 18, 20, 24, 28, 32, 36, 40, 48, 56, 64)
+FURTHER_ORDERS = (72, 80, 92, 104, 120, 136, 156, 180, 206, 236, 270)
+"""Try these, each 15 % more than the last, only where the largest order so far is the best: every second one first."""
 LEAST_ROWS = 0.75
 """Share of the samples that an observer order must leave as rows; a short record among long ones does not limit it."""
 
@@ -262,8 +265,13 @@ def search(
     for i, candidate in enumerate(limits.ridges):
         scout += make_trials(ground, limits.observer_orders, candidate, coarse, scouted)
         progress(0.5 * (i + 1) / len(limits.ridges))
-    if len(scouted) < len(every_fold):
-        scout = _trials(ground, _best_observers(scout, SEMIFINALISTS), coarse, every_fold[:2])
+    semifinal = scouted if scouted == every_fold else every_fold[:2]
+    if semifinal != scouted:
+        scout = _trials(ground, _best_observers(scout, SEMIFINALISTS), coarse, semifinal)
+    finer = limits.model_orders
+    if model_order is None:
+        coarse, scout = _with_larger(ground, coarse, scout, semifinal)
+        finer += tuple(n for n in FURTHER_ORDERS if n < coarse[-1])
     tried = _finals(ground, scout, coarse, every_fold)
     seen = {(p, ridge) for p in limits.observer_orders for ridge in limits.ridges}
     for i, ratio in enumerate(RIDGE_RATIOS):
@@ -277,7 +285,7 @@ def search(
         raise InsufficientDataError(_nothing_stable(limits))
     for observer in _best_observers(tried, 2):
         own = _trials(ground, [observer], coarse, every_fold)
-        own += _trials(ground, [observer], _worth_trying(own, limits.model_orders), every_fold)
+        own += _trials(ground, [observer], _worth_trying(own, finer), every_fold)
         tried = [trial for trial in tried if (trial.observer_order, trial.ridge) != observer] + own
     progress(1.0)
     tried.sort(key=_by_error)
@@ -305,6 +313,20 @@ def _trials(
     fold_indices: Sequence[int],
 ) -> list[Trial]:
     return [trial for p, ridge in observers for trial in make_trials(ground, [p], ridge, model_orders, fold_indices)]
+
+
+def _with_larger(
+    ground: Ground, coarse: tuple[int, ...], scout: list[Trial], folds: Sequence[int]
+) -> tuple[tuple[int, ...], list[Trial]]:
+    """Coarse orders and their trials, with larger orders of the best observers as long as the largest is the best."""
+    first = ground.records[0]
+    most = min(hankel_shape(ground.n_lags, first.n_inputs, first.n_outputs))
+    for n in (MODEL_ORDERS[-1], *FURTHER_ORDERS[1::2]):
+        if n > most or not scout or min(scout, key=_by_error).model_order < coarse[-1]:
+            break
+        coarse = (*coarse, n)
+        scout = scout + _trials(ground, _best_observers(scout, SEMIFINALISTS), [n], folds)
+    return coarse, scout
 
 
 def _finals(
@@ -422,3 +444,41 @@ def significantly_worse(trial: Trial, other: Trial) -> bool:
     worse = trial.block_errors - other.block_errors
     spread = float(np.sqrt(worse.size) * worse.std(ddof=1)) if worse.size > 1 else 0.0
     return float(worse.sum()) > spread + ROUND_OFF
+
+
+MOST_STEPS = 8
+"""Steps after which nearly all refinements stand still; a trial with so many means: until it stands still."""
+
+
+def chosen_refined(trials: Sequence[Trial], share: Callable[[int], float] = lambda _order: 0.0) -> Trial:
+    """The smallest order that is as good as the best; of its refinements the longest that is as good as its best.
+
+    A refinement that may run until it stands still without harm has no early stop to be explained, and its covariance
+    is that of the least-squares estimate. No other estimate beats it by more than estimating costs it, so a smaller
+    loss on held-out rows is chance and says nothing against it.
+
+    Args:
+        trials: by rising error.
+        share: of the squared error that estimating a model of an order adds.
+    """
+    good = [trial for trial in trials if as_good(trial, trials[0])]
+    smallest = min(trial.model_order for trial in good)
+    best = next(trial for trial in good if trial.model_order == smallest)
+    most = best.error * np.sqrt(1.0 + share(smallest))
+    whole = [trial for trial in trials if trial.model_order == smallest and trial.refinement_steps == MOST_STEPS]
+    longer = [
+        trial
+        for trial in whole
+        if (trial.observer_order, trial.ridge) == (best.observer_order, best.ridge)
+        and as_good(trial, best)
+        and trial in good
+    ]
+    longer += [trial for trial in whole if trial.error <= most]
+    return longer[0] if longer else best
+
+
+def estimation_share(ground: Ground, order: int) -> float:
+    """Share of the squared error that estimating adds: numbers of a model of this order over values of a fold."""
+    n_inputs, n_outputs = ground.scaled[0].n_inputs, ground.scaled[0].n_outputs
+    values = n_outputs * sum(int(rows.sum()) for fold in ground.trained for rows in fold) / len(ground.trained)
+    return (order * (n_inputs + n_outputs) + n_inputs * n_outputs) / max(1.0, values)

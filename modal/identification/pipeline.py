@@ -20,8 +20,8 @@ from modal.estimation.fits import measure_fit, model_runs
 from modal.identification.final_model import FinalModel, fit_all_rows, lack_outputs, with_deviations, with_forces
 from modal.identification.more_modes import with_undriven
 from modal.identification.noise_model import with_feedback
-from modal.identification.order_search import Search, choose_orders, given_orders
-from modal.identification.refined_search import MOST_STEPS, refined_search
+from modal.identification.order_search import MOST_STEPS, Search, choose_orders, given_orders
+from modal.identification.refined_search import refined_search
 from modal.identification.response_road import identify_response
 from modal.identification.result import Identification
 from modal.identification.set_ups import has_absent_outputs, identify_setups

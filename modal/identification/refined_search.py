@@ -55,13 +55,17 @@ from modal.estimation.output_error import (
 )
 from modal.estimation.prediction_error import NOISE_FREE
 from modal.estimation.weights import UNTIL_STILL, beside_blows, set_aside, weighted, whiteness_ratio
-from modal.identification.order_search import Search, as_good, significantly_worse
+from modal.identification.order_search import (
+    MOST_STEPS,
+    Search,
+    chosen_refined,
+    estimation_share,
+    significantly_worse,
+)
 from okid.arrays import BoolArray, FloatArray
 from okid.record import Record
 from okid.scaling import ChannelScaling, channel_scaling
 
-MOST_STEPS = 8
-"""Steps after which nearly all refinements stand still; a trial with so many means: until it stands still."""
 SCOUT_STEPS = 3
 STANDS_STILL = 1e-5
 """Relative decrease of the squared error by a step below which a refinement of a fold ends."""
@@ -89,6 +93,7 @@ class _Workshop:
     steps: dict[tuple[int, float, int, int], list[RefinementStep]] = field(default_factory=dict)
     errors: dict[tuple[int, float, int, int], list[FloatArray]] = field(default_factory=dict)
     still: set[tuple[int, float, int, int]] = field(default_factory=set)
+    refined: dict[tuple[int, float, int], list[Trial]] = field(default_factory=dict)
 
 
 def output_error_data(ground: Ground) -> OutputError:
@@ -119,7 +124,7 @@ def refined_search(
     first, *others = _observers(found)
     orders = _orders(found)
     shop = _Workshop(ground=found.ground, data=output_error_data(found.ground), largest_order=max(orders) + 2)
-    refined: dict[tuple[int, float, int], list[Trial]] = {}
+    refined = shop.refined
     resting = found.ground.by == "rows" and all(begins_at_rest(record, FEW) for record in found.ground.scaled)
     of_forces = _noise_of_forces(shop.data, found.ground.scaling, acting, at_rest)
     # by rows, of a long record one stretch is scored
@@ -129,15 +134,9 @@ def refined_search(
     following = shop.data if shop.data.measured or not seen else set_aside(shop.data, beside)
     turns = partial(by_turns, data=following, aside=beside, variances=of_forces, least_gain=GROWS_ON)
     pursued = _pursued(shop, first, found.limits.model_orders, following, turns) if resting else []
-    best, without_gain = min(found.trials[0].error, _least_error(pursued)), 0
-    for i, n in enumerate(orders):
-        refined[*first, n] = _trials(shop, (*first, n), hopeless=HOPELESS * best)
-        progress(0.6 * (i + 1) / len(orders))
-        error = _least_error(refined[*first, n])
-        without_gain = 0 if error < GAIN * best else without_gain + 1
-        best = min(best, error)
-        if without_gain >= PATIENCE and (best < GAIN * found.trials[0].error or n >= found.chosen.model_order):
-            break
+    best = min(found.trials[0].error, _least_error(pursued))
+    grown = _rising(shop, found, orders, best, lambda share: progress(0.6 * share))
+    best = min(best, _least_error(grown), *(_least_error(row) for row in refined.values()))
     for _ in range(ROUNDS_BETWEEN if len(orders) > 1 else 0):
         for n in _between(sorted(n for *_, n in refined), _best_order(refined)):
             refined[*first, n] = _trials(shop, (*first, n), hopeless=HOPELESS * best)
@@ -147,18 +146,16 @@ def refined_search(
     for observer in others:
         n = _best_order(refined)
         refined[*observer, n] = _trials(shop, (*observer, n), hopeless=HOPELESS * best)
-    trials = [*pursued, *(trial for row in refined.values() for trial in row)]
+    trials = [*pursued, *grown, *(trial for row in refined.values() for trial in row)]
     everything = sorted((*trials, *found.trials), key=lambda t: (t.error, t.model_order))
     candidates = _comparable(everything, found.ground)
     if not trials or not candidates:
         return found
-    chosen = _chosen(candidates, lambda n: _estimation_share(found.ground, n))
+    chosen = chosen_refined(candidates, lambda n: estimation_share(found.ground, n))
     if found.ground.by == "rows":  # a fold that went astray late is no reason to leave all rows half-way
         chosen = replace(chosen, refinement_steps=MOST_STEPS)
-    elif len(orders) > 1 and chosen.refinement_steps == MOST_STEPS:
-        key = (chosen.observer_order, chosen.ridge, chosen.model_order)
-        steps = [shop.steps[*key, fold][-1] for fold in range(len(shop.ground.folds))]
-        grown = [trial for trial, _ in islice(growing(shop.ground, shop.data, steps, chosen), MOST_WEAK_MODES)]
+    elif len(orders) > 1 and not chosen.weak_modes:
+        grown = _grown(shop, chosen)
         everything = sorted((*everything, *grown), key=lambda t: (t.error, t.model_order))
         chosen = grown[-1] if grown else chosen
     progress(1.0)
@@ -211,6 +208,38 @@ def _pursued(
         gains = best is None or significantly_worse(best, made)
         best, without_gain = (made, 0) if gains else (best, without_gain + 1)
     return trials if len(model_orders) > 1 else [trial for trial in trials if trial.model_order in model_orders]
+
+
+def _rising(
+    shop: _Workshop, found: Search, orders: Sequence[int], best: float, progress: Callable[[float], None]
+) -> list[Trial]:
+    """Refine cuts of the first observer by rising orders until that pays no more, and give what grew in place of one.
+
+    A mode that the best cut lacks is found in what it leaves; a larger cut holds more of the noise first. So beyond the
+    order that was best without refinement a cut is tried only where nothing more is found in that way.
+    """
+    first, without_gain = _observers(found)[0], 0
+    for i, n in enumerate(orders):
+        if shop.refined and n > found.trials[0].model_order and found.ground.by == "blocks":
+            grown = _grown(shop, min((trial for row in shop.refined.values() for trial in row), key=lambda t: t.error))
+            if grown:
+                return grown
+        own = shop.refined[*first, n] = _trials(shop, (*first, n), hopeless=HOPELESS * best)
+        progress((i + 1) / len(orders))
+        without_gain = 0 if _least_error(own) < GAIN * best else without_gain + 1
+        best = min(best, _least_error(own))
+        if without_gain >= PATIENCE and (best < GAIN * found.trials[0].error or n >= found.chosen.model_order):
+            break
+    return []
+
+
+def _grown(shop: _Workshop, cut: Trial) -> list[Trial]:
+    """Trials with up to `MOST_WEAK_MODES` more than one that was cut and refined until it stood still, else none."""
+    if cut.refinement_steps < MOST_STEPS:
+        return []
+    key = (cut.observer_order, cut.ridge, cut.model_order)
+    steps = [shop.steps[*key, fold][-1] for fold in range(len(shop.ground.folds))]
+    return [trial for trial, _ in islice(growing(shop.ground, shop.data, steps, cut), MOST_WEAK_MODES)]
 
 
 def growing(
@@ -343,40 +372,6 @@ def _start(shop: _Workshop, candidate: tuple[int, float, int], fold: int) -> Ref
 def _comparable(trials: Sequence[Trial], ground: Ground) -> list[Trial]:
     """All; where samples were filled, by a model of all rows, those that do not know by them what was held out."""
     return [trial for trial in trials if trial.refinement_steps == MOST_STEPS or not ground.measured]
-
-
-def _chosen(trials: Sequence[Trial], share: Callable[[int], float] = lambda _order: 0.0) -> Trial:
-    """The smallest order that is as good as the best; of its refinements the longest that is as good as its best.
-
-    A refinement that may run until it stands still without harm has no early stop to be
-    explained, and its covariance is that of the least-squares estimate. No other estimate beats it by more than
-    estimating costs it, so a smaller loss on held-out rows is chance and says nothing against it.
-
-    Args:
-        trials: by rising error.
-        share: of the squared error that estimating a model of an order adds.
-    """
-    good = [trial for trial in trials if as_good(trial, trials[0])]
-    smallest = min(trial.model_order for trial in good)
-    best = next(trial for trial in good if trial.model_order == smallest)
-    most = best.error * np.sqrt(1.0 + share(smallest))
-    whole = [trial for trial in trials if trial.model_order == smallest and trial.refinement_steps == MOST_STEPS]
-    longer = [
-        trial
-        for trial in whole
-        if (trial.observer_order, trial.ridge) == (best.observer_order, best.ridge)
-        and as_good(trial, best)
-        and trial in good
-    ]
-    longer += [trial for trial in whole if trial.error <= most]
-    return longer[0] if longer else best
-
-
-def _estimation_share(ground: Ground, order: int) -> float:
-    """Share of the squared error that estimating adds: numbers of a model of this order over values of a fold."""
-    n_inputs, n_outputs = ground.scaled[0].n_inputs, ground.scaled[0].n_outputs
-    values = n_outputs * sum(int(rows.sum()) for fold in ground.trained for rows in fold) / len(ground.trained)
-    return (order * (n_inputs + n_outputs) + n_inputs * n_outputs) / max(1.0, values)
 
 
 N_BLOCKS = 40

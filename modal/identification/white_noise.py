@@ -20,14 +20,8 @@ from modal.estimation.prediction_error import NOISE_FREE
 from modal.estimation.weights import whiteness_ratio
 from modal.estimation.whitening import all_filtered, common_filter, stretches
 from modal.identification.final_model import FinalModel, keeps_promise, largest_model, with_noise, with_observer
-from modal.identification.order_search import Search
-from modal.identification.refined_search import (
-    MOST_STEPS,
-    STANDS_STILL,
-    growing,
-    output_error_data,
-    refined_model,
-)
+from modal.identification.order_search import MOST_STEPS, Search
+from modal.identification.refined_search import STANDS_STILL, growing, output_error_data, refined_model
 from okid.arrays import BoolArray, FloatArray
 from okid.errors import IdentificationError
 from okid.record import Record

@@ -20,8 +20,7 @@ from era.gain import GainEstimate
 from modal.estimation.cross_validation import WITHIN, Folds, Trial, is_long, stretches_of
 from modal.identification.covariance import NO_INTERVAL, NOT_UNDERSTOOD
 from modal.identification.noise_model import NoiseModel
-from modal.identification.order_search import Search
-from modal.identification.refined_search import MOST_STEPS
+from modal.identification.order_search import MOST_STEPS, Search
 from modal.identification.result import Identification, OrderEvidence
 from modal.modes.modal_mass import DERIVATIVES
 from modal.modes.mode import Choice, Fit, ModalModel, Mode

@@ -34,7 +34,8 @@ from modal.estimation.cross_validation import hankel_limits
 from modal.estimation.free_run import free_runs, modal_form
 from modal.estimation.output_error import SMALLEST_GAIN
 from modal.identification.covariance import output_error_uncertainty
-from modal.identification.refined_search import MOST_STEPS, STANDS_STILL, RefinedModel, refined_model
+from modal.identification.order_search import MOST_STEPS
+from modal.identification.refined_search import STANDS_STILL, RefinedModel, refined_model
 from modal.localisation.gap import BEYOND_CHANCE, excitation_levels
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import Mode, ModeKind

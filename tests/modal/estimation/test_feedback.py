@@ -11,8 +11,9 @@ from era.realisation import Realisation
 from modal.estimation.feedback import FALSE_ALARMS, feedback_p_value, from_outside
 from modal.identification.covariance import feedback_bias, output_error_uncertainty
 from modal.identification.noise_model import with_feedback
+from modal.identification.order_search import MOST_STEPS
 from modal.identification.pipeline import identify
-from modal.identification.refined_search import MOST_STEPS, refined_model
+from modal.identification.refined_search import refined_model
 from modal.modes.extraction import extract_modes
 from modal.preparation.band import FOLLOWS, chance_of_following
 from okid.record import Record

@@ -11,8 +11,9 @@ from systems import simulate, three_modes
 
 from era.realisation import Realisation
 from modal.identification.covariance import judged_deviations
+from modal.identification.order_search import MOST_STEPS
 from modal.identification.pipeline import identify
-from modal.identification.refined_search import MOST_STEPS, refined_model
+from modal.identification.refined_search import refined_model
 from modal.modes.extraction import extract_modes
 from okid.record import Record
 

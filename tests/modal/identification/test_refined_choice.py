@@ -10,9 +10,10 @@ from textbook_output_error import LoopModel, loop_run
 from modal.estimation.cross_validation import Trial, corner, prepare_ground, training_decomposition
 from modal.estimation.modal_parameters import starting_parameters
 from modal.estimation.output_error import refine
+from modal.identification import order_search
 from modal.identification import refined_search as refined_choice
-from modal.identification.order_search import search
-from modal.identification.refined_search import MOST_STEPS, output_error_data, refined_search
+from modal.identification.order_search import MOST_STEPS, search
+from modal.identification.refined_search import output_error_data, refined_search
 from okid.record import Record
 
 
@@ -181,7 +182,7 @@ def a_trial(order, steps, errors, observer=10):
 
 
 def choose(*trials):
-    return refined_choice._chosen(sorted(trials, key=lambda trial: trial.error))
+    return order_search.chosen_refined(sorted(trials, key=lambda trial: trial.error))
 
 
 def test_of_equal_trials_the_smallest_order_and_the_longest_refinement():
@@ -210,7 +211,7 @@ def test_a_loss_that_estimating_explains_is_no_reason_to_leave_the_refinement():
     """Worse in every block, yet by less than the numbers of the model cost: no other estimate is better by more."""
     best, lost = a_trial(4, 0, 0.01), a_trial(4, MOST_STEPS, 0.01002, observer=20)
     for share, chosen in ((0.0021, lost), (0.0019, best)):
-        assert refined_choice._chosen([best, lost], lambda order, share=share: share * order / 4) is chosen
+        assert order_search.chosen_refined([best, lost], lambda order, share=share: share * order / 4) is chosen
 
 
 def test_what_estimating_costs_is_counted():
@@ -218,7 +219,7 @@ def test_what_estimating_costs_is_counted():
     ground = search([linear_record(4, n_samples=600)], observer_order=15, ridge=1e-4, model_order=6).ground
     n, m, q = 6, ground.scaled[0].n_inputs, ground.scaled[0].n_outputs
     n_folds = len(ground.folds)
-    assert refined_choice._estimation_share(ground, n) == pytest.approx(
+    assert order_search.estimation_share(ground, n) == pytest.approx(
         (n + n * q + (n * m - n) + m * q) / (q * 600 * (n_folds - 1) / n_folds), rel=0.05
     )
 

@@ -15,8 +15,9 @@ from modal.estimation.modal_parameters import starting_parameters
 from modal.estimation.modal_states import blocks_of
 from modal.estimation.output_error import OutputError, refine
 from modal.identification.covariance import judged_deviations, output_error_uncertainty
+from modal.identification.order_search import MOST_STEPS
 from modal.identification.pipeline import identify
-from modal.identification.refined_search import MOST_STEPS, refined_model
+from modal.identification.refined_search import refined_model
 from modal.modes.extraction import extract_modes
 from modal.modes.response_synthesis import continuous_residue
 from okid.markov import MarkovParameters, recover_markov

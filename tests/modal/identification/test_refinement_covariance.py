@@ -15,7 +15,8 @@ from modal.estimation.modal_parameters import errors_of
 from modal.estimation.modal_states import Block
 from modal.estimation.output_error import step_at
 from modal.identification.covariance import chance_of_leaving, judged_deviations, output_error_uncertainty
-from modal.identification.refined_search import MOST_STEPS, RefinedModel, refined_model
+from modal.identification.order_search import MOST_STEPS
+from modal.identification.refined_search import RefinedModel, refined_model
 from modal.modes.extraction import extract_modes
 from okid.record import Record
 
