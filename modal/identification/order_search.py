@@ -318,11 +318,11 @@ def _trials(
 def _with_larger(
     ground: Ground, coarse: tuple[int, ...], scout: list[Trial], folds: Sequence[int]
 ) -> tuple[tuple[int, ...], list[Trial]]:
-    """Coarse orders and their trials, with larger orders of the best observers as long as the largest is the best."""
+    """Coarse orders and their trials, with larger ones of the best observers as long as none smaller is as good."""
     first = ground.records[0]
     most = min(hankel_shape(ground.n_lags, first.n_inputs, first.n_outputs))
     for n in (MODEL_ORDERS[-1], *FURTHER_ORDERS[1::2]):
-        if n > most or not scout or min(scout, key=_by_error).model_order < coarse[-1]:
+        if n > most or not scout or _chosen(sorted(scout, key=_by_error)).model_order < coarse[-1]:
             break
         coarse = (*coarse, n)
         scout = scout + _trials(ground, _best_observers(scout, SEMIFINALISTS), [n], folds)

@@ -56,6 +56,7 @@ from modal.estimation.output_error import (
 from modal.estimation.prediction_error import NOISE_FREE
 from modal.estimation.weights import UNTIL_STILL, beside_blows, set_aside, weighted, whiteness_ratio
 from modal.identification.order_search import (
+    MODEL_ORDERS,
     MOST_STEPS,
     Search,
     chosen_refined,
@@ -70,7 +71,7 @@ SCOUT_STEPS = 3
 STANDS_STILL = 1e-5
 """Relative decrease of the squared error by a step below which a refinement of a fold ends."""
 ORDER_SHARES = (0.2, 0.3, 0.45, 0.7, 1.0, 1.3)
-"""Of the model order that was best without refinement: mostly smaller ones."""
+"""Of the model order that was best without refinement, and of that in the grid: mostly smaller ones."""
 HOPELESS = 1.5
 """Error after the first steps, relative to the best so far, from which on a candidate is given up."""
 PATIENCE = 2
@@ -151,7 +152,7 @@ def refined_search(
     candidates = _comparable(everything, found.ground)
     if not trials or not candidates:
         return found
-    chosen = chosen_refined(candidates, lambda n: estimation_share(found.ground, n))
+    chosen = chosen_refined(candidates, partial(estimation_share, found.ground))
     if found.ground.by == "rows":  # a fold that went astray late is no reason to leave all rows half-way
         chosen = replace(chosen, refinement_steps=MOST_STEPS)
     elif len(orders) > 1 and not chosen.weak_modes:
@@ -215,13 +216,15 @@ def _rising(
 ) -> list[Trial]:
     """Refine cuts of the first observer by rising orders until that pays no more, and give what grew in place of one.
 
-    A mode that the best cut lacks is found in what it leaves; a larger cut holds more of the noise first. So beyond the
-    order that was best without refinement a cut is tried only where nothing more is found in that way.
+    A mode that the best cut lacks is found in what it leaves, by fewer and smaller models than those of larger cuts,
+    which hold more of the noise besides. So beyond the grid, and the order that was best without refinement, a cut is
+    tried only where nothing more is found in that way.
     """
     first, without_gain = _observers(found)[0], 0
     for i, n in enumerate(orders):
-        if shop.refined and n > found.trials[0].model_order and found.ground.by == "blocks":
-            grown = _grown(shop, min((trial for row in shop.refined.values() for trial in row), key=lambda t: t.error))
+        so_far = sorted((trial for row in shop.refined.values() for trial in row), key=lambda trial: trial.error)
+        if so_far and n > max(found.trials[0].model_order, MODEL_ORDERS[-1]) and found.ground.by == "blocks":
+            grown = _grown(shop, chosen_refined(so_far, partial(estimation_share, shop.ground)))
             if grown:
                 return grown
         own = shop.refined[*first, n] = _trials(shop, (*first, n), hopeless=HOPELESS * best)
@@ -297,8 +300,10 @@ def _observers(found: Search) -> list[tuple[int, float]]:
 def _orders(found: Search) -> list[int]:
     if len(found.limits.model_orders) == 1:
         return list(found.limits.model_orders)
-    best = found.trials[0].model_order
-    shares = {max(1, round(share * best)) for share in ORDER_SHARES}
+    grid = [trial.model_order for trial in found.trials if trial.model_order <= MODEL_ORDERS[-1]]
+    best, within = found.trials[0].model_order, grid[0] if grid else found.trials[0].model_order
+    shares = {max(1, round(share * within)) for share in ORDER_SHARES}
+    shares |= {n for share in ORDER_SHARES if (n := round(share * best)) > max(shares)}
     return sorted({_even(n) for n in shares | {found.chosen.model_order}})
 
 

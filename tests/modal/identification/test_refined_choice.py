@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from systems import initial_state, modal_system, simulate
 from textbook_output_error import LoopModel, loop_run
 
@@ -237,3 +238,41 @@ def test_orders_are_mostly_smaller_whole_pairs_above_a_few(linear):
     assert refined_choice._between([4, 8, 16], 8) == [7, 10, 12]
     assert refined_choice._between([12, 24, 40], 24) == [18, 22, 26, 32]
     assert refined_choice._between([1], 1) == [2]
+
+
+def test_as_many_modes_as_there_are_beyond_the_grid_of_orders():
+    """Orders ended at 64 states: of more modes than 32 pairs became one, far from either and certain."""
+    rng = np.random.default_rng(5)
+    n_modes, n_samples, n_outputs, dt = 36, 3000, 10, 0.01
+    angular = 2 * np.pi * dt * np.sort(rng.uniform(1.0, 44.0, n_modes))
+    poles = np.exp(angular * (1j - rng.uniform(0.006, 0.02, n_modes)))
+    u = rng.standard_normal((n_samples, 2))
+    y = np.zeros((n_samples, n_outputs))
+    for pole in poles:
+        motion = lfilter([0.0, 1.0], [1.0, -2.0 * pole.real, abs(pole) ** 2], u @ rng.standard_normal(2))
+        y += np.outer(rng.uniform(0.4, 1.0) * motion / motion.std(), rng.standard_normal(n_outputs))
+    record = centred(u, y + 0.02 * y.std(axis=0) * rng.standard_normal(y.shape), dt)
+    _, found, refined = both_searches(record)
+    assert found.chosen.model_order >= 2 * n_modes - 2
+    assert refined.chosen.model_order in (2 * n_modes, 2 * n_modes + 2)
+    assert refined.chosen.error == pytest.approx(0.02, rel=0.05)
+
+
+def test_beyond_the_grid_what_is_left_is_asked_before_a_larger_cut(monkeypatch):
+    record = linear_record(4, noise=0.03, frequencies=(6.0, 17.0, 29.0), damping_ratios=(0.02, 0.03, 0.02))
+    ground, found, _ = both_searches(record, observer_order=30)
+    small = tuple(trial for trial in found.trials if trial.model_order <= 4)
+    lacking = replace(found, trials=small, chosen=small[0], ground=ground)
+    assert small[0].model_order == 4
+    monkeypatch.setattr(refined_choice, "ORDER_SHARES", (0.5, 1.0, 2.0))
+    cut = refined_search(lacking)
+    monkeypatch.setattr(refined_choice, "MODEL_ORDERS", (4,))
+    grown = refined_search(lacking)
+    tried = [
+        {trial.model_order for trial in each.trials if trial.refinement_steps and not trial.weak_modes}
+        for each in (cut, grown)
+    ]
+    assert max(tried[0]) >= 8
+    assert max(tried[1]) < 8
+    assert (grown.chosen.model_order, grown.chosen.weak_modes) == (6, 1)
+    assert grown.chosen.error == pytest.approx(0.03, rel=0.1)
