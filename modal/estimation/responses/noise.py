@@ -393,10 +393,7 @@ def _modelled(table: ResponseLines, fit: ResponseFit, noise: Noise, offset: int)
 
 def lines_joined(table: ResponseLines) -> float:
     """Sum over lines of the correlation of their errors with those of one."""
-    if table.lags is None or not table.leaks:
-        return 1.0
-    powers = [abs(table.joined(m)) ** 2 for m in range(9)]
-    return float(powers[0] + 2 * sum(powers[1:]))
+    return float(table.joining().sum().real)
 
 
 def drawn_noise(table: ResponseLines, fit: ResponseFit, noise: Noise, rng: np.random.Generator) -> ComplexArray:
@@ -410,12 +407,9 @@ def drawn_noise(table: ResponseLines, fit: ResponseFit, noise: Noise, rng: np.ra
     n_inputs, n_lines, n_outputs, _ = covariance.shape
     values, vectors = np.linalg.eigh(covariance)
     n = n_lines if table.lags is None else table.lags.size
-    colour = np.ones(n)
-    if table.lags is not None and table.leaks:
-        across = np.zeros(n)
-        for m in _reach(table):
-            across[[m, -m]] = abs(table.joined(m)) ** 2
-        colour = np.sqrt(np.maximum(np.fft.fft(across).real, 0.0))
+    across = np.zeros(n, dtype=np.complex128)
+    across[: table.joining().size] = table.joining()
+    colour = np.sqrt(np.maximum(n * np.fft.ifft(across).real, 0.0))
     shape = (n_inputs, n, n_outputs)
     white = rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
     lines = np.fft.fft(white * colour[:, np.newaxis], axis=1)[:, :n_lines] / np.sqrt(2 * n)

@@ -467,3 +467,28 @@ def test_a_window_that_takes_more_poles_must_be_likelier_by_what_they_cost(monke
     unknown = dataclasses.replace(exact_table(64), window="unknown")
     chosen = {choice.what: choice.value for choice in modal.identify(unknown).choices}
     assert chosen["window"] != "uniform"
+
+
+@pytest.mark.parametrize("seed", [0, 6])
+def test_noise_of_sensors_under_an_exponential_window_is_no_mode(seed):
+    """It dies out with the window, as a mode would: taken for independent lines it was up to seven modes, all certain."""
+    f, n, tau = np.array([12.0, 31.0, 57.0]), 1024, 0.8
+    time = np.arange(n) / 200
+    pulse = np.exp(2 * np.pi * np.outer(time, f * (-0.01 + 1j * np.sqrt(1 - 0.01**2)))).imag.sum(axis=1)
+    noise = 0.02 * np.random.default_rng(seed).standard_normal((8, n))
+    blows = np.fft.rfft(np.exp(-time / tau) * (pulse + noise))
+    mean, power = blows.mean(axis=0), np.square(np.abs(blows)).mean(axis=0)
+    table = FrequencyResponse(
+        mean,
+        np.fft.rfftfreq(n, 1 / 200),
+        coherence=(np.abs(mean) ** 2 / power)[:, np.newaxis],
+        n_averages=8,
+        window="exponential",
+        window_time_constant=tau,
+    )
+    result = modal.identify(table)
+    assert not any("runs on from line to line" in text for text in result.warnings)
+    assert len(result.modes.system) == 3
+    for mode, true in zip(result.modes.system, f, strict=True):
+        assert abs(mode.frequency - true) < 4 * mode.frequency_std
+        assert abs(mode.damping_ratio - 0.01) < 4 * mode.damping_ratio_std < 0.002
