@@ -153,9 +153,8 @@ def noise_of(table: ResponseLines, fit: ResponseFit) -> Noise:
     scatter = scatter / max(0.1, 1 - fit.n_parameters / (2 * int(table.known.sum())))
     share = 1.0
     if table.noise is None:
-        share, expected = _split(
-            scatter, [averaged, np.abs(table.values - fit.left) ** 2 * table.known], table.known, least
-        )
+        modelled = np.abs(table.values - fit.left) ** 2 * table.known
+        share, expected = _from_scatter(scatter, [averaged, modelled], table, least)
         seen, reach = scatter, WIDE
     else:
         seen = _left_out(table)
@@ -302,6 +301,27 @@ def runs_on(table: ResponseLines, fit: ResponseFit, noise: Noise) -> BoolArray:
     drawn = np.array([courses(drawn_noise(table, fit, noise, rng)) for _ in range(DRAWN)])
     off: BoolArray = courses(fit.left) > drawn.mean(axis=0) + SURE * drawn.std(axis=0)
     return off & fit.is_pair & (angles >= np.angle(table.z[0])) & (angles <= np.angle(table.z[last]))
+
+
+def _from_scatter(
+    scatter: FloatArray, parts: list[FloatArray], table: ResponseLines, least: float
+) -> tuple[float, FloatArray]:
+    """`_split` of the scatter or, of lines that do not leak, of its ratio to its own course over the lines.
+
+    The likelier of the two: a force that fades makes a course which parts that grow with the response cannot follow,
+    and they then take the noise from the antiresonances to the resonances.
+    """
+    split = _split(scatter, parts, table.known, least)
+    if table.leaks:
+        return split
+
+    def unlikely(expected: FloatArray) -> float:
+        variance = np.maximum(expected * _smoothed(scatter / expected, table.known, WIDE), least)
+        return float((table.known * (scatter / variance + np.log(variance))).sum())
+
+    course = np.maximum(_smoothed(scatter, table.known, WIDE), least)
+    other = _split(scatter / course, parts, table.known, least / float(course.max()))
+    return min(split, other, key=lambda one: unlikely(one[1]))
 
 
 def _split(scatter: FloatArray, parts: list[FloatArray], known: BoolArray, least: float) -> tuple[float, FloatArray]:

@@ -175,3 +175,23 @@ def test_errors_of_hits_are_those_of_white_noise_that_the_exponential_window_wei
         across = [np.mean(lines[:, m:] * lines[:, : lines.shape[1] - m].conj()) / size**2 for m in (0, 1, 3, 12, 30)]
         np.testing.assert_allclose(across, [table.joining()[m] for m in (0, 1, 3, 12, 30)], atol=0.02)
     assert lines_joined(table) == pytest.approx(n / (weights @ weights))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01])
+def test_scatter_tells_a_force_that_fades_from_noise_that_grows_with_the_response(share):
+    """The noise of the former was taken for the latter: half of it at antiresonances, twice as much at peaks."""
+    lines, rng = 0.125 * np.arange(1, 921), np.random.default_rng(11)
+    f, damping = np.array([25.0, 40.0, 65.0]), 0.01
+    s, w = 2j * np.pi * lines[:, np.newaxis], 2 * np.pi * f
+    exact = (s**2 / (s**2 + 2 * damping * w * s + w**2)).sum(axis=1)
+    fading = np.exp(0.15 * np.maximum(lines - 80, 0))
+    deviation = share * np.abs(exact) if share else 0.01 * fading
+    values = exact + deviation * (rng.standard_normal(920) + 1j * rng.standard_normal(920)) / np.sqrt(2)
+    table, _ = lines_of(FrequencyResponse(values, lines, window="periodic"), "periodic", 4)
+    poles = np.exp(w * (-damping + 1j * np.sqrt(1 - damping**2)) * table.dt)
+    start = (poles, np.ones(3, dtype=bool), np.ones((3, 1)) + 0j)
+    weight = np.where(table.known, (table.output_scale[0] / table.input_scale[0] / deviation)[:, None, None], 0.0)
+    fit = refined(table, start, weight)
+    stated = np.sqrt(noise_of(table, fit).variance[:, 0, 0]) * table.output_scale[0] / table.input_scale[0]
+    inside = (lines > 15) & (lines < 75)
+    assert np.quantile(np.abs(np.log(stated / deviation))[inside], 0.95) < np.log(1.4)
