@@ -37,11 +37,13 @@ from modal.estimation.responses.noise import (
     with_powers,
 )
 from modal.estimation.responses.order import (
+    LARGEST_ORDER,
     PASSES,
     QUICK,
-    chosen_order,
+    complete_order,
     evidence_of,
     first_weight,
+    grown,
     likelihood_of,
     lines_fit,
     most_states,
@@ -65,8 +67,6 @@ from okid.errors import InsufficientDataError
 from okid.frequency_response import FrequencyResponse, ResponseWindow, pulse_response, with_missing_lines
 from okid.markov import MarkovParameters
 
-LARGEST_ORDER = 64
-"""Try model orders up to this one, as for records."""
 LONGEST = 2048
 """Realise at most so many lags: they only give the start, and more cost without moving it."""
 BETWEEN = 4
@@ -195,7 +195,7 @@ def _search(
             break
         first, fit = more, trial
     if order == "auto":
-        chosen = chosen_order(table, fit, best)
+        chosen = complete_order(table, fit, best)
         fit, evidence, fits, fewer = chosen.best.fit, chosen.evidence, chosen.fits, chosen.fewer
     else:
         evidence, fits, fewer = {fit.order: 0.0}, {}, ()
@@ -314,8 +314,8 @@ def _fitted(table: ResponseLines, found: HankelDecomposition, order: int, weight
 def _path_down(
     table: ResponseLines, found: HankelDecomposition, first: int, orders: list[int], weight: FloatArray
 ) -> list[ResponseFit]:
-    """Models of falling orders, or the next lower ones, each left from one of order `first` as the model was."""
-    fit, models = _fitted(table, found, first, weight), []
+    """Models of falling orders, or the next lower ones, each left from one of order `first`, as the model was."""
+    fit, models = grown(table, _fitted(table, found, first, weight), weight), []
     fewer = with_fewer(table, fit, weight)
     for order in orders:
         while fit.order > order and fit.poles.size > 1:

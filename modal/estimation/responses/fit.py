@@ -148,6 +148,17 @@ class ResponseLines:
         w = self._window()
         return complex(w**2 @ np.exp(-2j * np.pi * offset / n * np.arange(n)) / (w @ w))
 
+    def joining(self) -> ComplexArray:
+        """(n_samples,) correlation of the errors of a line with those of the lines so far before it, round the block.
+
+        Of a response to hits it is that of what the sensors err by; to random forces that times the forces' own.
+        """
+        if self.lags is None:
+            return np.ones(1, dtype=np.complex128)
+        w = self._window()
+        alike = np.fft.fft(w**2) / (w @ w)
+        return np.asarray(np.abs(alike) ** 2 if self.leaks else alike, dtype=np.complex128)
+
     def _window(self) -> FloatArray:
         assert self.lags is not None
         if self.window == "exponential":

@@ -153,9 +153,8 @@ def noise_of(table: ResponseLines, fit: ResponseFit) -> Noise:
     scatter = scatter / max(0.1, 1 - fit.n_parameters / (2 * int(table.known.sum())))
     share = 1.0
     if table.noise is None:
-        share, expected = _split(
-            scatter, [averaged, np.abs(table.values - fit.left) ** 2 * table.known], table.known, least
-        )
+        modelled = np.abs(table.values - fit.left) ** 2 * table.known
+        share, expected = _from_scatter(scatter, [averaged, modelled], table, least)
         seen, reach = scatter, WIDE
     else:
         seen = _left_out(table)
@@ -304,6 +303,27 @@ def runs_on(table: ResponseLines, fit: ResponseFit, noise: Noise) -> BoolArray:
     return off & fit.is_pair & (angles >= np.angle(table.z[0])) & (angles <= np.angle(table.z[last]))
 
 
+def _from_scatter(
+    scatter: FloatArray, parts: list[FloatArray], table: ResponseLines, least: float
+) -> tuple[float, FloatArray]:
+    """`_split` of the scatter or, of lines that do not leak, of its ratio to its own course over the lines.
+
+    The likelier of the two: a force that fades makes a course which parts that grow with the response cannot follow,
+    and they then take the noise from the antiresonances to the resonances.
+    """
+    split = _split(scatter, parts, table.known, least)
+    if table.leaks:
+        return split
+
+    def unlikely(expected: FloatArray) -> float:
+        variance = np.maximum(expected * _smoothed(scatter / expected, table.known, WIDE), least)
+        return float((table.known * (scatter / variance + np.log(variance))).sum())
+
+    course = np.maximum(_smoothed(scatter, table.known, WIDE), least)
+    other = _split(scatter / course, parts, table.known, least / float(course.max()))
+    return min(split, other, key=lambda one: unlikely(one[1]))
+
+
 def _split(scatter: FloatArray, parts: list[FloatArray], known: BoolArray, least: float) -> tuple[float, FloatArray]:
     """The first part's share in the scatter and the variance: some of each part and a floor of each response.
 
@@ -393,10 +413,7 @@ def _modelled(table: ResponseLines, fit: ResponseFit, noise: Noise, offset: int)
 
 def lines_joined(table: ResponseLines) -> float:
     """Sum over lines of the correlation of their errors with those of one."""
-    if table.lags is None or not table.leaks:
-        return 1.0
-    powers = [abs(table.joined(m)) ** 2 for m in range(9)]
-    return float(powers[0] + 2 * sum(powers[1:]))
+    return float(table.joining().sum().real)
 
 
 def drawn_noise(table: ResponseLines, fit: ResponseFit, noise: Noise, rng: np.random.Generator) -> ComplexArray:
@@ -410,12 +427,9 @@ def drawn_noise(table: ResponseLines, fit: ResponseFit, noise: Noise, rng: np.ra
     n_inputs, n_lines, n_outputs, _ = covariance.shape
     values, vectors = np.linalg.eigh(covariance)
     n = n_lines if table.lags is None else table.lags.size
-    colour = np.ones(n)
-    if table.lags is not None and table.leaks:
-        across = np.zeros(n)
-        for m in _reach(table):
-            across[[m, -m]] = abs(table.joined(m)) ** 2
-        colour = np.sqrt(np.maximum(np.fft.fft(across).real, 0.0))
+    across = np.zeros(n, dtype=np.complex128)
+    across[: table.joining().size] = table.joining()
+    colour = np.sqrt(np.maximum(n * np.fft.ifft(across).real, 0.0))
     shape = (n_inputs, n, n_outputs)
     white = rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
     lines = np.fft.fft(white * colour[:, np.newaxis], axis=1)[:, :n_lines] / np.sqrt(2 * n)

@@ -4,11 +4,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from modal.estimation.responses.fit import ResponseFit, ResponseLines, Start, losses, refined, without_pole
 from modal.estimation.responses.noise import Noise, lines_joined, noise_of
 from okid.arrays import TINY, ComplexArray, FloatArray
 
+LARGEST_ORDER = 64
+"""Try model orders up to this one, as for records."""
 WITHOUT_GAIN = 4
 """Try no higher orders once so many in a row were worse than the best by evidence."""
 WEAKEST = 3
@@ -16,6 +19,10 @@ WEAKEST = 3
 PASSES = 3
 """Choose the order, or a force's dips, again with the noise that the model leaves, at most so often; it repeats itself
 after two."""
+WIDTHS = (1, 4, 16)
+"""Look for resonances of so many lines on either side: one of half or twice the width keeps 8/9 of what it explains."""
+FLANKS = 4
+"""Follow the flanks of a resonance for so many of its widths: they hold 6/7 of its power."""
 QUICK = 5
 """Refine candidates and reruns by so many steps: from their realisation they stand still by then."""
 
@@ -88,6 +95,53 @@ def with_fewer(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> It
         yield fit
 
 
+def grown(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> ResponseFit:
+    """The fit with a pole more wherever it leaves a resonance that the evidence gains by, the largest one first.
+
+    A realisation ranks poles by how much of the pulse response they are, in the units of the table. One that stands far
+    above the noise of its own lines is left out of all of them where the noise of others is larger than it.
+
+    Args:
+        table: to describe.
+        fit: of it.
+        weight: (n_lines, n_outputs, n_inputs) one over the deviation of each value, 0 where it was not measured.
+    """
+    n_outputs, n_inputs = table.values.shape[1:]
+    fit = refined(table, fit, weight, n_steps=QUICK)
+    while fit.order + 2 <= min(LARGEST_ORDER, most_states(table)):
+        gain, start = _resonance_left(table, fit, weight)
+        if schwarz(table, fit.error - gain, fit.n_parameters + 2 * (n_outputs + n_inputs)) >= evidence_of(table, fit):
+            break
+        trial = refined(table, start, weight, n_steps=QUICK)
+        if evidence_of(table, trial) >= evidence_of(table, fit):
+            break
+        fit = trial
+    return fit
+
+
+def _resonance_left(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> tuple[float, Start]:
+    """About how much of the squared error one more pair would explain, the others held; and the poles with it."""
+    left, angles = weight * fit.left, np.angle(table.z)
+    best: tuple[float, int, int, ComplexArray] | None = None
+    for width in WIDTHS:
+        offsets = np.arange(-FLANKS * width, FLANKS * width + 1)
+        shape = 1 / (1 + 1j * offsets / width)  # of 1 / (z - lambda) beside its peak
+        answer = scipy.signal.oaconvolve(left, shape.conj()[::-1, np.newaxis, np.newaxis], mode="full", axes=0)
+        size = scipy.signal.oaconvolve(table.known * 1.0, np.abs(shape[:, np.newaxis, np.newaxis]) ** 2, axes=0)
+        own = slice(FLANKS * width, FLANKS * width + len(left))
+        part = answer[own] / np.sqrt(np.maximum(size[own], 1.0))
+        power = (np.abs(part) ** 2).sum(axis=(1, 2))
+        line = int(power.argmax())
+        if best is None or power[line] > best[0]:
+            best = float(power[line]), line, width, part[line]
+    assert best is not None
+    gain, line, width, part = best
+    residue = np.divide(part, weight[line], out=np.zeros_like(part), where=table.known[line])
+    pole = np.exp(1j * angles[line] - width * float(np.median(np.diff(angles))))
+    participation = np.linalg.svd(residue)[2][:1]
+    return gain, (np.r_[fit.poles, pole], np.r_[fit.is_pair, True], np.vstack([fit.inputs, participation]))
+
+
 def until_worse(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> Iterator[ResponseFit]:
     """The fit and those with fewer and fewer poles, until several in a row are less likely than the best."""
     best, worse = evidence_of(table, fit), 0
@@ -148,6 +202,26 @@ def chosen_order(table: ResponseLines, first: ResponseFit, best: WithNoise) -> O
         if repeats:
             break
         start = path[max(0, at - 2)].start if better else found.best.fit.start
+    return found
+
+
+def complete_order(table: ResponseLines, first: ResponseFit, best: WithNoise) -> OrderPath:
+    """`chosen_order`, and again from its model with the resonances that it leaves, as long as that is likelier.
+
+    Args:
+        table: to describe.
+        first: a model with more poles than are needed.
+        best: the likeliest model so far, whose noise is the first.
+    """
+    found = chosen_order(table, first, best)
+    for _ in range(PASSES):
+        fit = grown(table, found.best.fit, weight_of(table, found.best.noise))
+        if fit.order == found.best.fit.order:
+            break
+        more = with_own_noise(table, fit)
+        if more.criterion >= found.best.criterion:
+            break
+        found = chosen_order(table, fit, more)
     return found
 
 

@@ -10,6 +10,8 @@ from response_tables import averaged, drawn_structure, held_response
 from modal.estimation.responses.fit import lines_of, refined
 from modal.estimation.responses.noise import (
     beyond_blocks,
+    drawn_noise,
+    lines_joined,
     noise_of,
     pole_deviations,
     residue_deviations,
@@ -151,3 +153,45 @@ def test_blocks_that_overlap_almost_wholly_are_counted_on_a_grid(driven):
         assert len(closer.shifts) < 64
         stated.append(pole_deviations(closer, fit, noise_of(closer, fit)))
     np.testing.assert_allclose(stated[1:], [stated[0]] * 2, rtol=1e-3)
+
+
+def test_errors_of_hits_are_those_of_white_noise_that_the_exponential_window_weighs():
+    """Drawn errors, and transforms of windowed noise: how far lines belong together."""
+    n, tau, rng = 256, 0.4, np.random.default_rng(5)
+    response = FrequencyResponse(
+        np.full(n // 2 + 1, 1.0 + 0j),
+        np.fft.rfftfreq(n, 0.01),
+        window="exponential",
+        window_time_constant=tau,
+    )
+    table, _ = lines_of(response, "exponential")
+    weights = np.exp(-np.arange(n) * 0.01 / tau)
+    measured = np.fft.rfft(weights * rng.standard_normal((4000, n)))[:, 1:-1]
+    pole = np.array([np.exp(2j * np.pi * 10.0 * 0.01 - 0.1)])
+    fit = refined(table, (pole, np.array([True]), np.ones((1, 1)) + 0j), first_weight(table), n_steps=0)
+    noise = replace(noise_of(table, fit), variance=np.ones(table.values.shape))
+    drawn = np.array([drawn_noise(table, fit, noise, rng)[1:-1, 0, 0] for _ in range(4000)])
+    for lines, size in ((drawn, 1.0), (measured, np.sqrt(weights @ weights))):
+        across = [np.mean(lines[:, m:] * lines[:, : lines.shape[1] - m].conj()) / size**2 for m in (0, 1, 3, 12, 30)]
+        np.testing.assert_allclose(across, [table.joining()[m] for m in (0, 1, 3, 12, 30)], atol=0.02)
+    assert lines_joined(table) == pytest.approx(n / (weights @ weights))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01])
+def test_scatter_tells_a_force_that_fades_from_noise_that_grows_with_the_response(share):
+    """The noise of the former was taken for the latter: half of it at antiresonances, twice as much at peaks."""
+    lines, rng = 0.125 * np.arange(1, 921), np.random.default_rng(11)
+    f, damping = np.array([25.0, 40.0, 65.0]), 0.01
+    s, w = 2j * np.pi * lines[:, np.newaxis], 2 * np.pi * f
+    exact = (s**2 / (s**2 + 2 * damping * w * s + w**2)).sum(axis=1)
+    fading = np.exp(0.15 * np.maximum(lines - 80, 0))
+    deviation = share * np.abs(exact) if share else 0.01 * fading
+    values = exact + deviation * (rng.standard_normal(920) + 1j * rng.standard_normal(920)) / np.sqrt(2)
+    table, _ = lines_of(FrequencyResponse(values, lines, window="periodic"), "periodic", 4)
+    poles = np.exp(w * (-damping + 1j * np.sqrt(1 - damping**2)) * table.dt)
+    start = (poles, np.ones(3, dtype=bool), np.ones((3, 1)) + 0j)
+    weight = np.where(table.known, (table.output_scale[0] / table.input_scale[0] / deviation)[:, None, None], 0.0)
+    fit = refined(table, start, weight)
+    stated = np.sqrt(noise_of(table, fit).variance[:, 0, 0]) * table.output_scale[0] / table.input_scale[0]
+    inside = (lines > 15) & (lines < 75)
+    assert np.quantile(np.abs(np.log(stated / deviation))[inside], 0.95) < np.log(1.4)
