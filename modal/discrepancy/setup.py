@@ -518,6 +518,12 @@ def simulated_outputs(fitted: Estimate, records: Sequence[Record]) -> tuple[Floa
     return tuple(fitted.trajectory.outputs[a:b] for a, b in pairwise(firsts))
 
 
+def _scales(plant: Plant) -> bool:
+    """Whether masses may be off that no input moves along with: then larger ones are a weaker drive."""
+    inputs = slice(plant.n_states, plant.n_states + plant.n_inputs)
+    return bool(plant.masses) and not any(one.system[:, inputs].any() for one in plant.masses)
+
+
 def circumstances_of(plant: Plant, fits: Sequence[Record], node: Node) -> frozenset[Circumstance]:
     """What holds of the plant, its records and a model's motion along them, for the table of ambiguities."""
     found: set[Circumstance] = set()
@@ -528,6 +534,8 @@ def circumstances_of(plant: Plant, fits: Sequence[Record], node: Node) -> frozen
         found.add("unknown_masses")  # forces are counted per effective mass
     if node.masses and plant.n_inputs == 1:
         found.add("other_masses")
+    if "other_masses" in found or (plant.n_inputs == 1 and _scales(plant)):
+        found.add("one_drive")
     if plant.n_outputs == 1:
         found.add("one_output")
     sizes = [float(np.sqrt(np.nansum(np.nanvar(r.inputs if r.n_inputs else r.outputs, axis=0)))) for r in fits]
