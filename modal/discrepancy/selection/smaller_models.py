@@ -131,16 +131,22 @@ def merged(node: Node, task: Task) -> Node | None:
 
 
 def at_limits(node: Node, task: Task) -> list[Node]:
-    """A model that explains the data, refitted with one law at a limit of it, whose amplitudes are the law's own."""
+    """A model refitted with one law at a limit of it, whose amplitudes are the law's own.
+
+    Of a model that explains the data each law; of others those that have come to their limit, where the rest of their
+    parameters do nothing.
+    """
     fitted, found = node.coarse, list[Node]()
-    for i, item in enumerate(fitted.assembly.placements if explained(node.held_out_level) else ()):
+    for i, item in enumerate(fitted.assembly.placements):
         span, rich = fitted.assembly.common_of(i), _amplitudes(item)
         for key in item.effect.limits:
-            there = (key, item.where) in node.effects
-            if there or key not in task.catalogue:
+            if (key, item.where) in node.effects or key not in task.catalogue:
                 continue
             simple = replace(item, effect=task.catalogue[key], held=())
-            if any(kind.name not in rich for kind in simple.effect.parameters):
+            kept = {kind.name for kind in simple.effect.parameters}
+            rest = [span.start + at for name, at in rich.items() if name not in kept]
+            there = bool(rest) and not fitted.unknowns.common[rest].any()
+            if not kept <= rich.keys() or not (there or explained(node.held_out_level)):
                 continue
             places = [span.start + rich[kind.name] for kind in simple.effect.parameters]
             others = fitted.unknowns.common[span.start + len(item.common) :]
