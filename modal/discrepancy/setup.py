@@ -18,7 +18,7 @@ from modal.discrepancy.fitting.nodes import (
     polished,
 )
 from modal.discrepancy.noise.floor import SAME_NUMBER, NoiseFloor, lowered_floor, noise_floor, raised_floor
-from modal.discrepancy.noise.spectral import colours_of, lead_of_forces, replies, rings, whitening_filter
+from modal.discrepancy.noise.spectral import colours_of, lead_of_forces, most_heard, rings, whitening_filter
 from modal.discrepancy.results import worst_left
 from modal.discrepancy.selection.beam import search_effects
 from modal.discrepancy.selection.lack_of_fit import lack_of_fit, only_noise
@@ -435,7 +435,7 @@ def _noise_or_force(best: Node, setup: Setup, raised: float) -> tuple[str, ...]:
             rows = drive.rows_of(record)
             left = np.where(drive.present, drive.outputs - run.trajectory.outputs, 0.0)[rows]
             taps = [whitening_filter(one, there)[0] for one, there in zip(left.T, drive.present[rows].T, strict=True)]
-            heard, colours = replies(run.scheme, len(left), step), colours_of(taps, len(left))
+            heard, colours = most_heard(run.scheme, len(left), step), colours_of(taps, len(left))
             above = np.where(colours > 2.0 * floor, colours - floor, 0.0).sum(axis=1)
             for port in run.assembly.plant.ports:
                 reply = heard[:, :, list(port.columns)].sum(axis=(1, 2))
