@@ -131,11 +131,7 @@ def merged(node: Node, task: Task) -> Node | None:
 
 
 def at_limits(node: Node, task: Task) -> list[Node]:
-    """A model refitted with one law at a limit of it, whose amplitudes are the law's own.
-
-    Of a model that explains the data each law; of others those that have come to their limit, where the rest of their
-    parameters do nothing.
-    """
+    """A model refitted with one law at a limit of it, whose amplitudes are the law's own."""
     fitted, found = node.coarse, list[Node]()
     for i, item in enumerate(fitted.assembly.placements):
         span, rich = fitted.assembly.common_of(i), _amplitudes(item)
@@ -143,10 +139,7 @@ def at_limits(node: Node, task: Task) -> list[Node]:
             if (key, item.where) in node.effects or key not in task.catalogue:
                 continue
             simple = replace(item, effect=task.catalogue[key], held=())
-            kept = {kind.name for kind in simple.effect.parameters}
-            rest = [span.start + at for name, at in rich.items() if name not in kept]
-            there = bool(rest) and not fitted.unknowns.common[rest].any()
-            if not kept <= rich.keys() or not (there or explained(node.held_out_level)):
+            if any(kind.name not in rich for kind in simple.effect.parameters):
                 continue
             places = [span.start + rich[kind.name] for kind in simple.effect.parameters]
             others = fitted.unknowns.common[span.start + len(item.common) :]

@@ -242,13 +242,16 @@ def test_a_gain_that_all_masses_would_explain_says_so(seed):
     assert not any("weigh" in words for words in weighed.warnings)
 
 
-@pytest.mark.parametrize(("base", "one_drive"), [(None, True), ([[1.0], [1.0]], False)])
-def test_a_ground_that_shakes_shakes_larger_masses_more(base, one_drive):
+@pytest.mark.parametrize(
+    ("forces", "base", "one_drive"), [([0], None, True), ([0, 1], None, False), ([], [[1.0], [1.0]], False)]
+)
+def test_larger_masses_are_a_weaker_drive_where_one_force_drives_them(forces, base, one_drive):
+    """A ground that shakes shakes larger masses more; of two forces one would tell."""
     model = modal.StructuralModel.chain(
-        [1.0, 0.8], [400.0, 300.0], [0.8, 0.6], force_dofs=[] if base else [0], sensor_dofs=[0, 1], base_motion=base
+        [1.0, 0.8], [400.0, 300.0], [0.8, 0.6], force_dofs=forces, sensor_dofs=[0, 1], base_motion=base
     )
     rng = np.random.default_rng(3)
-    record = modal.simulate(model, rng.standard_normal((300, 1)), dt=0.03)
+    record = modal.simulate(model, rng.standard_normal((300, max(len(forces), 1))), dt=0.03)
     noisy = replace(record, outputs=record.outputs + 1e-4 * rng.standard_normal(record.outputs.shape))
     given = given_model(model, (noisy,))
     _, root = roots(prepare_setup(given, (noisy,), (noisy,), CATALOGUE, lambda *_: None))
