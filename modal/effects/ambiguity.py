@@ -91,6 +91,13 @@ AMBIGUOUS: tuple[AmbiguityClass, ...] = (
         "flexibility, while in a state space its direction may be open), or an accelerometer",
     ),
     AmbiguityClass(
+        effects=("periodic_disturbance",),
+        besides=("hum in the sensor or its cable",),
+        circumstance="one_output",
+        when="one output is measured: a sine in its cable is what a sine force of another size makes of it",
+        separates="a second output, which hears nothing where a cable is to blame, or a sensor of the kind that rests",
+    ),
+    AmbiguityClass(
         effects=("actuator_lag", "sensor_lag"),
         circumstance="one_output",
         when="one output is measured: a lag before a linear structure and one behind it are the same",
