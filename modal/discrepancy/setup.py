@@ -18,7 +18,7 @@ from modal.discrepancy.fitting.nodes import (
     polished,
 )
 from modal.discrepancy.noise.floor import SAME_NUMBER, NoiseFloor, lowered_floor, noise_floor, raised_floor
-from modal.discrepancy.noise.spectral import colours_of, lead_of_forces, replies, rings, whitening_filter
+from modal.discrepancy.noise.spectral import colours_of, lead_of_forces, most_heard, rings, whitening_filter
 from modal.discrepancy.results import worst_left
 from modal.discrepancy.selection.beam import search_effects
 from modal.discrepancy.selection.lack_of_fit import lack_of_fit, only_noise
@@ -435,7 +435,7 @@ def _noise_or_force(best: Node, setup: Setup, raised: float) -> tuple[str, ...]:
             rows = drive.rows_of(record)
             left = np.where(drive.present, drive.outputs - run.trajectory.outputs, 0.0)[rows]
             taps = [whitening_filter(one, there)[0] for one, there in zip(left.T, drive.present[rows].T, strict=True)]
-            heard, colours = replies(run.scheme, len(left), step), colours_of(taps, len(left))
+            heard, colours = most_heard(run.scheme, len(left), step), colours_of(taps, len(left))
             above = np.where(colours > 2.0 * floor, colours - floor, 0.0).sum(axis=1)
             for port in run.assembly.plant.ports:
                 reply = heard[:, :, list(port.columns)].sum(axis=(1, 2))
@@ -518,6 +518,12 @@ def simulated_outputs(fitted: Estimate, records: Sequence[Record]) -> tuple[Floa
     return tuple(fitted.trajectory.outputs[a:b] for a, b in pairwise(firsts))
 
 
+def _scales(plant: Plant) -> bool:
+    """Whether masses may be off that no input moves along with: then larger ones are a weaker drive."""
+    inputs = slice(plant.n_states, plant.n_states + plant.n_inputs)
+    return bool(plant.masses) and not any(one.system[:, inputs].any() for one in plant.masses)
+
+
 def circumstances_of(plant: Plant, fits: Sequence[Record], node: Node) -> frozenset[Circumstance]:
     """What holds of the plant, its records and a model's motion along them, for the table of ambiguities."""
     found: set[Circumstance] = set()
@@ -528,6 +534,8 @@ def circumstances_of(plant: Plant, fits: Sequence[Record], node: Node) -> frozen
         found.add("unknown_masses")  # forces are counted per effective mass
     if node.masses and plant.n_inputs == 1:
         found.add("other_masses")
+    if "other_masses" in found or (plant.n_inputs == 1 and _scales(plant)):
+        found.add("one_drive")
     if plant.n_outputs == 1:
         found.add("one_output")
     sizes = [float(np.sqrt(np.nansum(np.nanvar(r.inputs if r.n_inputs else r.outputs, axis=0)))) for r in fits]

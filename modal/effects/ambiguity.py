@@ -13,6 +13,7 @@ Circumstance = Literal[
     "one_dof",
     "unknown_masses",
     "other_masses",
+    "one_drive",
     "one_output",
     "one_level",
     "one_way",
@@ -21,7 +22,8 @@ Circumstance = Literal[
     "large_motion",
 ]
 """What may hold of a plant and its records: one degree of freedom; a structure given as a state space; one input and
-masses that are not those of the model as given; one measured output; records of about one level; a velocity at the
+masses that are not those of the model as given; one force that drives several masses, known to a tolerance at best; one
+measured output; records of about one level; a velocity at the
 place that never reverses; a delay that is half a sample off whole ones; motion small, or large, against the length that
 shapes the law."""
 
@@ -69,9 +71,9 @@ AMBIGUOUS: tuple[AmbiguityClass, ...] = (
     AmbiguityClass(
         effects=("input_gain",),
         besides=("scale of all masses, stiffnesses and dampings",),
-        circumstance="other_masses",
-        when="one input drives a structure whose masses are free: a drive g times as strong is masses, stiffnesses and "
-        "dampings g times as small",
+        circumstance="one_drive",
+        when="one force drives a structure whose masses are known to a tolerance: a drive g times as strong is masses, "
+        "stiffnesses and dampings g times as small",
         separates="one of the masses from the drawing or a scale, or a known mass added to the structure",
     ),
     AmbiguityClass(
@@ -89,6 +91,13 @@ AMBIGUOUS: tuple[AmbiguityClass, ...] = (
         "flexibility, while in a state space its direction may be open), or an accelerometer",
     ),
     AmbiguityClass(
+        effects=("periodic_disturbance",),
+        besides=("hum in the sensor or its cable",),
+        circumstance="one_output",
+        when="one output is measured: a sine in its cable is what a sine force of another size makes of it",
+        separates="a second output, which hears nothing where a cable is to blame, or a sensor of the kind that rests",
+    ),
+    AmbiguityClass(
         effects=("actuator_lag", "sensor_lag"),
         circumstance="one_output",
         when="one output is measured: a lag before a linear structure and one behind it are the same",
@@ -96,7 +105,17 @@ AMBIGUOUS: tuple[AmbiguityClass, ...] = (
     ),
     AmbiguityClass(
         effects=("input_delay",),
-        besides=("a wrongly declared hold of the input (half a sample)",),
+        besides=("a delay of the sensor",),
+        circumstance="one_output",
+        when="one output is measured: nothing but the clock tells what comes late, the drive or the reading",
+        separates="a second output, which is not late where one sensor is to blame, or the force measured along",
+    ),
+    AmbiguityClass(
+        effects=("input_delay",),
+        besides=(
+            "a wrongly declared hold of the input (half a sample)",
+            "an output that is the mean over the sample before, as a speed by differences of counts is",
+        ),
         circumstance="half_a_sample",
         when="the delay is about half a sample off whole ones",
         separates="the data sheet of the output stage, or the drive measured along with the outputs",

@@ -304,6 +304,14 @@ class ForceEffect(Effect):
         """The effect's own states one sample on (only where `n_memory` > 0)."""
         raise NotImplementedError
 
+    def undriven(self, values: Values) -> "tuple[ForceEffect, tuple[float, ...], float] | None":  # noqa: ARG002 - most laws have none
+        """The limit at which no motion reaches the law's own states, which go on by themselves from where they begin.
+
+        Returns:
+            That law, its values, and the factor on the own states; None (most laws) where there is no such limit.
+        """
+        return None
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InputEffect(Effect):

@@ -8,7 +8,7 @@ derivatives of that exponential.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -241,6 +241,10 @@ class MissingMode(ForceEffect):
             peaks = (motion.velocity_scale / (2.0 * np.pi * motion.displacement_scale),)  # Rice: rate of up-crossings
         return tuple((1.0, ratio * peak, UNDAMPED_DEVIATION) for peak in peaks for ratio in RATIOS)
 
+    def undriven(self, values: Values) -> tuple[ForceEffect, tuple[float, ...], float]:
+        """The vibration that a light mass with a wide swing leaves."""
+        return FreeVibration(), (float(values[1]), float(values[2])), float(values[0])
+
     def force(self, values: Values, motion: Motion) -> Force:
         """The force of spring and damper on the place, and its derivatives."""
         ratio, frequency, damping = values
@@ -278,3 +282,53 @@ class MissingMode(ForceEffect):
             by_velocity_after=np.tile(step[:, 5], (n_samples, 1)),
             by_parameter=by_parameter,
         )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FreeVibration(ForceEffect):
+    """A vibration that no motion drives: every record begins with as much of it as it likes. No entry of the catalogue.
+
+    Law: with m the mass at the place and w = 2 pi frequency, f = m z'' and z'' + 2 damping w z' + w^2 z = 0. A missing
+    mode comes to it as its mass goes to none and its swing to infinity. Undamped it is a sine whose size and phase are
+    each record's own.
+    """
+
+    key = "free_vibration"
+    law = "f = m z'', z'' + 2 damping w z' + w^2 z = 0"
+    parameters = MissingMode.parameters[1:]
+    neutral = MissingMode.neutral[1:]
+    family = "narrow band"
+    signature = "one line, of a size and a phase of its own in each record"
+    reference = MissingMode.reference
+    needs = MissingMode.needs
+    acts_at = "mass"
+    n_memory = 2
+
+    def force(self, values: Values, motion: Motion) -> Force:
+        """The force of a missing mode of the mass at the place, itself held, and its derivatives."""
+        found = MissingMode().force((1.0, *values), _held(motion))
+        return replace(
+            found,
+            by_displacement=np.zeros_like(found.value),
+            by_velocity=np.zeros_like(found.value),
+            by_parameter=found.by_parameter[:, 1:],
+        )
+
+    def advance(self, values: Values, before: Motion, after: Motion, dt: float) -> Memory:
+        """(z, z') one sample on."""
+        found = MissingMode().advance((1.0, *values), _held(before), _held(after), dt)
+        none = np.zeros_like(found.value)
+        return replace(
+            found,
+            by_displacement_before=none,
+            by_velocity_before=none,
+            by_displacement_after=none,
+            by_velocity_after=none,
+            by_parameter=found.by_parameter[:, :, 1:],
+        )
+
+
+def _held(motion: Motion) -> Motion:
+    """The same with the place at rest."""
+    none = np.zeros_like(motion.displacement)
+    return replace(motion, displacement=none, velocity=none)

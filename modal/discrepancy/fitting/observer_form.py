@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 from modal.discrepancy.fitting.estimation import Estimate, Problem, estimate, simulate_at
-from okid.arrays import TINY, FloatArray
+from okid.arrays import ROUNDED, TINY, FloatArray
 
 
 def observer_gain(current: Estimate, problem: Problem) -> FloatArray | None:
@@ -24,7 +24,7 @@ def observer_gain(current: Estimate, problem: Problem) -> FloatArray | None:
 
     Returns:
         L (n_states, n_outputs) for one step of the simulation, or None where no gain is needed (no residual above the
-        floor), none exists or the plant has no states.
+        floor), none exists, the motion escapes or the plant has no states.
 
     References:
         Anderson, Moore, Optimal Filtering, 1979 (correlated process and measurement noise, section 5.4).
@@ -34,6 +34,8 @@ def observer_gain(current: Estimate, problem: Problem) -> FloatArray | None:
     floor = np.exp(np.mean(np.log(problem.floor), axis=0))
     excess = np.nanmean(np.maximum(current.mean_square - 1.0, 0.0), axis=0) * floor
     if n == 0 or scheme.E0.shape[1] == 0 or not np.any(excess > 1e-3 * floor):
+        return None
+    if not np.all(excess * ROUNDED**2 < floor):  # it escapes: beside what it leaves the noise is rounded off
         return None
     A, E = _sampled(scheme.Ad, scheme.E0 + scheme.E1, upsampling)
     unit = E / np.maximum(np.linalg.norm(E, axis=0), TINY)

@@ -344,6 +344,19 @@ def replies(scheme: Scheme, n: int, step: int) -> FloatArray:
     return np.asarray(np.abs(scheme.C @ moved + np.hstack([scheme.G, scheme.D])) ** 2)
 
 
+def most_heard(scheme: Scheme, n: int, step: int) -> FloatArray:
+    """(n_lines, n_outputs, n_forces) likewise of forces, held over each step or straight, whichever does more.
+
+    At the highest line a straight one turns its sign within each step: an inertia's speed hears none of it. A held one
+    does, of which a displacement hears nothing.
+    """
+    z = _waves(n)[:, :, np.newaxis] ** (1.0 / step)
+    flow = z * np.eye(len(scheme.Ad)) - scheme.Ad
+    held = scheme.C @ np.linalg.solve(flow, (scheme.E0 + scheme.E1)[np.newaxis]) + scheme.G
+    straight = replies(scheme, n, step)[:, :, : scheme.E0.shape[1]]
+    return np.asarray(np.maximum(np.abs(held) ** 2, straight))
+
+
 def colours_of(taps: Sequence[FloatArray], n: int) -> FloatArray:
     """(n_lines, n_outputs) spectra of autoregressions, whose mean is the variance."""
     waves = _waves(n)

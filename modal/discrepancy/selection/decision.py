@@ -40,6 +40,7 @@ from modal.discrepancy.selection.smaller_models import (
     has_limit,
     sureness,
     undetermined,
+    undriven_models,
     without,
 )
 from modal.discrepancy.setup import BY_MODEL, Setup, circumstances_of, with_coloured_floor, with_uncovered_floor
@@ -229,6 +230,7 @@ def _judged(best: Node, others: Sequence[Node], root: Node, task: Task, fits: Se
     """A model that was chosen, against all others and against what it leaves."""
     runners, margins, even, reasons = [], [], [], []
     circumstances = circumstances_of(best.coarse.assembly.plant, fits, best)
+    others = [*others, *undriven_models(best, task)]
     lowest = criterion(best, root, task)
     for effect in best.effects:
         rivals = [node for node in others if node is not root and _rivals(node, best, effect, task)]

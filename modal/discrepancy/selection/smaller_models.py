@@ -61,7 +61,7 @@ from modal.discrepancy.fitting.nodes import (
 )
 from modal.effects.ambiguity import Circumstance
 from modal.effects.catalogue import CATALOGUE, effect_name
-from modal.effects.effect import ParameterKind
+from modal.effects.effect import ForceEffect, ParameterKind
 from modal.simulation import SLIGHT, SURE, explained
 from modal.simulation.assembly import Assembly, EffectPlacement, Unknowns, place_effect
 from modal.simulation.plant import Plant
@@ -131,13 +131,12 @@ def merged(node: Node, task: Task) -> Node | None:
 
 
 def at_limits(node: Node, task: Task) -> list[Node]:
-    """A model that explains the data, refitted with one law at a limit of it, whose amplitudes are the law's own."""
+    """A model refitted with one law at a limit of it, whose amplitudes are the law's own."""
     fitted, found = node.coarse, list[Node]()
-    for i, item in enumerate(fitted.assembly.placements if explained(node.held_out_level) else ()):
+    for i, item in enumerate(fitted.assembly.placements):
         span, rich = fitted.assembly.common_of(i), _amplitudes(item)
         for key in item.effect.limits:
-            there = (key, item.where) in node.effects
-            if there or key not in task.catalogue:
+            if (key, item.where) in node.effects or key not in task.catalogue:
                 continue
             simple = replace(item, effect=task.catalogue[key], held=())
             if any(kind.name not in rich for kind in simple.effect.parameters):
@@ -156,6 +155,35 @@ def at_limits(node: Node, task: Task) -> list[Node]:
                 smoothing=fitted.smoothing,
             )
             found.append(_compared(start, node, task))
+    return found
+
+
+def undriven_models(node: Node, task: Task) -> list[Node]:
+    """A model that explains the data, refitted with a law whose own states no motion drives in the place of its own.
+
+    Each record begins with own states as it likes, the held-out ones too, so what these do by themselves proves
+    nothing of the law that is said to drive them.
+    """
+    fitted, found = node.coarse, list[Node]()
+    for i, item in enumerate(fitted.assembly.placements if explained(node.held_out_level) else ()):
+        span = fitted.assembly.common_of(i)
+        values = fitted.unknowns.common[span]
+        limit = item.effect.undriven(values) if isinstance(item.effect, ForceEffect) else None
+        if limit is None:
+            continue
+        effect, kept, factor = limit
+        common = np.concatenate(
+            [fitted.unknowns.common[: span.start], kept, fitted.unknowns.common[span.start + len(item.common) :]]
+        )
+        local = fitted.unknowns.local.copy()
+        local[:, fitted.assembly.own_of(i)] *= factor
+        items = fitted.assembly.placements
+        assembly = replace(
+            fitted.assembly, placements=(*items[:i], replace(item, effect=effect, held=()), *items[i + 1 :])
+        )
+        start = simulate_at(assembly, Unknowns(common=common, local=local), task.fit, smoothing=fitted.smoothing)
+        if start is not None:
+            found.append(node_of(estimate(start, task.fit, iterations=ITERATIONS), task))
     return found
 
 

@@ -401,10 +401,10 @@ def _of_the_delay(best: Node, dt: float) -> frozenset[Circumstance]:
 def _gain_words(decision: Decision, circumstances: frozenset[Circumstance]) -> tuple[str, ...]:
     """A gain that stands for the scale of the whole model scales every force found beside it."""
     gains = [key for key, _ in decision.node.effects if key in GAINS]
-    if "other_masses" in circumstances and "input_gain" in gains:
+    if "one_drive" in circumstances and "input_gain" in gains:
         words = (
-            "input gain cannot be told from the scale of all masses, stiffnesses and dampings, now that masses are "
-            "free: those found beside it are right only up to that factor; weigh one of the masses"
+            "input gain cannot be told from the scale of all masses, stiffnesses and dampings: what is found beside it "
+            "is right only up to that factor; weigh one of the masses"
         )
         return (words,)
     if not gains or "one_dof" not in circumstances:

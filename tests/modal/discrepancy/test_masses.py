@@ -221,3 +221,38 @@ def test_a_mass_that_hardly_differs_is_told_to_the_digits_that_differ():
     one = Calibrated(name="mass of dof_0", unit="kg", nominal=3.0, value=2.9984, std=1e-4, at_bound=False)
     (words,) = _mass_words([one], SimpleNamespace(masses=("mass of dof_0",)))
     assert words.startswith("the mass of dof_0 is 2.998 kg, not the 3.000 kg")
+
+
+def heavier(seed, share):
+    """A case in which all masses are heavier than the user believes, by one share."""
+    case = wrong_mass(seed, (1e-9, 1e-8))
+    return replace(case, masses=case.masses / share)
+
+
+@pytest.mark.parametrize("seed", [7204, 7211])
+def test_a_gain_that_all_masses_would_explain_says_so(seed):
+    """The records cannot tell, whether or not the masses were let go; a structure said to be weighed can."""
+    case = heavier(seed, 1.04)
+    keys = {"input_gain": CATALOGUE["input_gain"]}
+    found = diagnosed(case, keys)
+    assert found.findings[0].ambiguous_with == ("scale of all masses, stiffnesses and dampings",)
+    assert any("weigh" in words for words in found.warnings)
+    weighed = diagnosed(case, keys, mass_tolerance=0)
+    assert (weighed.status, weighed.findings[0].ambiguous_with) == ("named", ())
+    assert not any("weigh" in words for words in weighed.warnings)
+
+
+@pytest.mark.parametrize(
+    ("forces", "base", "one_drive"), [([0], None, True), ([0, 1], None, False), ([], [[1.0], [1.0]], False)]
+)
+def test_larger_masses_are_a_weaker_drive_where_one_force_drives_them(forces, base, one_drive):
+    """A ground that shakes shakes larger masses more; of two forces one would tell."""
+    model = modal.StructuralModel.chain(
+        [1.0, 0.8], [400.0, 300.0], [0.8, 0.6], force_dofs=forces, sensor_dofs=[0, 1], base_motion=base
+    )
+    rng = np.random.default_rng(3)
+    record = modal.simulate(model, rng.standard_normal((300, max(len(forces), 1))), dt=0.03)
+    noisy = replace(record, outputs=record.outputs + 1e-4 * rng.standard_normal(record.outputs.shape))
+    given = given_model(model, (noisy,))
+    _, root = roots(prepare_setup(given, (noisy,), (noisy,), CATALOGUE, lambda *_: None))
+    assert ("one_drive" in circumstances_of(given.plant, (noisy,), root)) == one_drive

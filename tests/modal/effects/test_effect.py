@@ -202,6 +202,21 @@ def test_half_a_sample_of_delay_is_a_question_of_the_hold():
     assert "half a sample" in found.others("input_delay")[0]
 
 
+def test_a_delay_seen_by_one_sensor_may_be_that_sensors():
+    (found,) = ambiguous_with("input_delay", circumstances=["one_output"])
+    assert found.others("input_delay") == ("a delay of the sensor",)
+
+
+def test_a_sine_seen_by_one_sensor_may_be_hum_in_its_cable():
+    (found,) = ambiguous_with("periodic_disturbance", circumstances=["one_output"])
+    assert found.others("periodic_disturbance") == ("hum in the sensor or its cable",)
+
+
+def test_a_gain_of_the_only_drive_is_the_scale_of_the_structure():
+    (found,) = ambiguous_with("input_gain", circumstances=["one_drive"])
+    assert found.others("input_gain") == ("scale of all masses, stiffnesses and dampings",)
+
+
 def test_a_sensor_of_a_state_space_may_sit_on_another_mass():
     (found,) = ambiguous_with("sensor_gain", circumstances=["unknown_masses"])
     assert "mass" in found.others("sensor_gain")[0]

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modal.effects.effect import Motion, Situation
-from modal.effects.outside_forces import MissingMode
+from modal.effects.outside_forces import FreeVibration, MissingMode
 
 seeds = st.integers(0, 2**31)
 frequencies = st.floats(0.2, 40.0)
@@ -153,3 +153,37 @@ def test_bounds_units_and_neutral():
     assert [kind.dimension for kind in MissingMode.parameters] == [(0, 0, 0), (0, 0, -1), (0, 0, 0)]
     assert [kind.lower for kind in MissingMode.parameters] == [0.0] * 3
     assert np.all(MissingMode().force(MissingMode.neutral, random_motion(4)).value == 0.0)
+
+
+@settings(max_examples=25)
+@given(seed=seeds, frequency=frequencies, damping=dampings)
+def test_a_free_vibration_has_the_derivatives_of_a_mass_whose_place_is_held(seed, frequency, damping):
+    given, law, hung = random_motion(seed), FreeVibration(), MissingMode()
+    held = replace(given, displacement=0.0 * given.displacement, velocity=0.0 * given.velocity)
+    force, as_hung = law.force([frequency, damping], given), hung.force([1.0, frequency, damping], held)
+    np.testing.assert_array_equal(force.by_memory, as_hung.by_memory)
+    np.testing.assert_array_equal(force.by_parameter, as_hung.by_parameter[:, 1:])
+    step = law.advance([frequency, damping], given, given, 0.02)
+    as_hung = hung.advance([1.0, frequency, damping], held, held, 0.02)
+    np.testing.assert_array_equal(step.by_memory, as_hung.by_memory)
+    np.testing.assert_array_equal(step.by_parameter, as_hung.by_parameter[:, :, 1:])
+    reached = (force.by_displacement, force.by_velocity, step.by_displacement_before, step.by_velocity_after)
+    assert not any(np.any(one) for one in reached)
+
+
+@settings(max_examples=25)
+@given(seed=seeds, frequency=frequencies, damping=dampings)
+def test_a_light_mass_with_a_wide_swing_comes_to_a_vibration_that_no_motion_drives(seed, frequency, damping):
+    light, dt = 1e-9, 0.02
+    before, after = random_motion(seed, 4), random_motion(seed + 1, 4)
+    values = [light, frequency, damping]
+    limit, kept, factor = MissingMode().undriven(values)
+    wide = [replace(one, memory=one.memory / light) for one in (before, after)]
+    assert factor == light
+    np.testing.assert_allclose(
+        MissingMode().force(values, wide[0]).value, limit.force(kept, before).value, rtol=1e-6, atol=1e-6 * frequency**2
+    )
+    np.testing.assert_allclose(
+        factor * MissingMode().advance(values, *wide, dt).value, limit.advance(kept, before, after, dt).value,
+        rtol=1e-6, atol=1e-6 * max(frequency, 1.0),
+    )  # fmt: skip

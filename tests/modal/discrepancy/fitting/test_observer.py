@@ -75,6 +75,13 @@ def test_a_model_that_fits_needs_none():
     assert observer_gain(fitted, exact) is None
 
 
+@pytest.mark.parametrize("beyond", [1e60, 1e110, np.inf])
+def test_a_motion_that_escapes_has_none(beyond):
+    """Nor is a foreign warning heard of it."""
+    current, problem = current_of()
+    assert observer_gain(replace(current, mean_square=beyond * current.mean_square), problem) is None
+
+
 def test_the_nearer_the_model_the_smaller_the_gain():
     current, problem = current_of()
     gains = []
