@@ -85,9 +85,10 @@ def test_the_data_are_looked_at_unless_somebody_has(identification, monkeypatch)
     quality = object()
     given = setting_of(identification, quality=quality)
     assert (given.quality, given.quality_of) == (quality, "as read")
-    monkeypatch.setattr("modal.report.pictures.check_quality", lambda records: records)
+    monkeypatch.setattr("modal.report.pictures.check_quality", lambda records, choices: (records, choices))
     found = setting_of(identification)
-    assert (found.quality, found.quality_of) == (identification.records, "as used")
+    assert found.quality == (identification.records, identification.choices)
+    assert found.quality_of == "as used"
 
 
 @pytest.mark.parametrize(("least", "state"), [(0.5, "met"), (0.999, "not met")])

@@ -290,12 +290,11 @@ def test_what_a_force_would_add_is_told_where_none_or_too_little_was_measured(id
 COLUMNS = {column.key: column for column in INDICATORS}
 
 
-def test_the_words_name_the_limits_that_the_verdict_has(identification):
-    mode = identification.modes.system[0]
+def test_the_words_name_the_limits_that_the_verdict_has():
     groups = {"halves of the data": 0.9, "other observer order and ridge": 0.9, "other model orders": 0.9}
 
     def called(p, least):
-        return verdict._verdict(mode, p, 100.0, {**groups, "other model orders": least}, dict.fromkeys(groups, ""))[0]
+        return verdict._verdict(p, 100.0, {**groups, "other model orders": least}, dict.fromkeys(groups, ""))[0]
 
     least_p = COLUMNS["probability"].limit
     least_part = float(COLUMNS["repeatability"].meaning.removesuffix(".").rpartition(" ")[2])
