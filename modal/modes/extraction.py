@@ -308,10 +308,10 @@ def _mode(basis: ModalBasis, indicators: Indicators | None, index: int, realisat
 
 
 def cannot_be_a_mode(mode: Mode, dt: float) -> bool:
-    """Whether no samples `dt` apart can show such a mode, however often it is found again.
+    """Whether a pole of samples `dt` apart is no mode to be listed, however often it is found again.
 
-    It grows, or its natural frequency |s| / (2 pi) lies above half of the sampling frequency: what moves so fast and is
-    damped so much that its pole still fits between the samples is an answer within a sample, as of a filter or a delay.
+    It grows, or its natural frequency |s| / (2 pi) lies above half of the sampling frequency, however slowly it may
+    turn for its damping: samples tell no such frequency from one that is folded, nor from an answer within a sample.
 
     Example:
         >>> one = np.ones(1)

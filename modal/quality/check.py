@@ -185,6 +185,8 @@ def _number(count: int, what: str) -> str:
 
 SECONDS_A_VALUE = (4e-7, 1.5e-6)
 """Expect so many CPU seconds a value: 5 s at 1e6 x 8, 31 s at 1e7 x 8."""
+FIRST_MODEL = (0.2, 4.0)
+"""Expect so many CPU seconds beside them, for a first model of at most 65 536 rows: 0.3 s of 3, 3 s of 16 outputs."""
 COPIES, BEFORE_RECORDS = 1.5, 0.25 * 2**30
 """Expect so many copies of the records, and so many bytes beside them: 0.9 GiB at 1e7 x 8."""
 
@@ -223,15 +225,15 @@ class _Inputs:
 
 
 def expected_check(records: Sequence[Record]) -> tuple[tuple[float, float], float]:
-    """CPU seconds, least and most, and bytes that `check_quality` will take, about.
+    """CPU seconds, least and most, and bytes that a check with a first model will take, about.
 
     Example:
         >>> seconds, n_bytes = expected_check([Record([], np.zeros((4000, 2)), 0.01)])
-        >>> seconds[1] < 0.1, f"{n_bytes / 2**30:.2f} GiB"
+        >>> seconds[1] < 5, f"{n_bytes / 2**30:.2f} GiB"
         (True, '0.25 GiB')
     """
     values = sum(one.n_samples for one in records) * (records[0].n_inputs + records[0].n_outputs)
-    least, most = (seconds * values for seconds in SECONDS_A_VALUE)
+    least, most = (beside + seconds * values for beside, seconds in zip(FIRST_MODEL, SECONDS_A_VALUE, strict=True))
     return (least, most), BEFORE_RECORDS + COPIES * values * np.dtype(float).itemsize
 
 

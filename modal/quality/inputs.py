@@ -258,8 +258,12 @@ def timing_findings(records: Sequence[Record], moving: Sequence[int]) -> list[Fi
 
 
 def choices_beforehand(records: Sequence[Record]) -> tuple[Choice, ...]:
-    """What preparation would choose for the first rows of these records; nothing where it refuses them."""
-    rows = max(1, MOST_ROWS // len(records))
+    """What preparation would choose for the first rows of these records; nothing where it refuses them.
+
+    Missing samples cost most of it, so fewer rows are enough there.
+    """
+    whole = all(record.complete_rows().all() for record in records)
+    rows = max(1, (MOST_ROWS if whole else FITTED_ROWS) // len(records))
     parts = [record.samples(0, min(record.n_samples, rows)) for record in records]
     try:
         return prepare(parts, kind=find_kind(parts).kind).choices

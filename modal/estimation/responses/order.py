@@ -11,7 +11,10 @@ from modal.estimation.responses.noise import Noise, lines_joined, noise_of
 from okid.arrays import TINY, ComplexArray, FloatArray
 
 LARGEST_ORDER = 64
-"""Try model orders up to this one, as for records."""
+"""Try model orders up to this one."""
+MOST_GROWN = 4
+"""Look for so many modes in what a model leaves. Where more seem to be it is no noise with a few modes in it, but what
+exact or rounded numbers leave of a model, in which any pole gains; then none of them is taken."""
 WITHOUT_GAIN = 4
 """Try no higher orders once so many in a row were worse than the best by evidence."""
 WEAKEST = 3
@@ -108,6 +111,7 @@ def grown(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> Respons
     """
     n_outputs, n_inputs = table.values.shape[1:]
     fit = refined(table, fit, weight, n_steps=QUICK)
+    larger = [fit]
     while fit.order + 2 <= min(LARGEST_ORDER, most_states(table)):
         gain, start = _resonance_left(table, fit, weight)
         if schwarz(table, fit.error - gain, fit.n_parameters + 2 * (n_outputs + n_inputs)) >= evidence_of(table, fit):
@@ -115,7 +119,10 @@ def grown(table: ResponseLines, fit: ResponseFit, weight: FloatArray) -> Respons
         trial = refined(table, start, weight, n_steps=QUICK)
         if evidence_of(table, trial) >= evidence_of(table, fit):
             break
+        if len(larger) > MOST_GROWN:
+            return larger[0]
         fit = trial
+        larger.append(fit)
     return fit
 
 

@@ -17,7 +17,7 @@ from modal.estimation.responses.noise import (
     residue_deviations,
     with_powers,
 )
-from modal.estimation.responses.order import first_weight, weight_of
+from modal.estimation.responses.order import first_weight, grown, weight_of
 from okid.frequency_response import FrequencyResponse
 
 
@@ -195,3 +195,24 @@ def test_scatter_tells_a_force_that_fades_from_noise_that_grows_with_the_respons
     stated = np.sqrt(noise_of(table, fit).variance[:, 0, 0]) * table.output_scale[0] / table.input_scale[0]
     inside = (lines > 15) & (lines < 75)
     assert np.quantile(np.abs(np.log(stated / deviation))[inside], 0.95) < np.log(1.4)
+
+
+@pytest.mark.parametrize(("late", "noise", "n_more"), [(0.0, 0.002, 2), (0.02, 1e-6, 0)], ids=["two modes", "delay"])
+def test_a_few_modes_are_found_in_what_is_left_but_none_in_what_no_pole_explains(late, noise, n_more):
+    """A delay leaves what any pole explains a part of: a table of exact numbers grew to the largest order so."""
+    lines, rng = 0.125 * np.arange(1, 921), np.random.default_rng(12)
+    f, damping, sizes = np.array([25.0, 40.0, 55.0, 70.0]), 0.01, np.array([1.0, 0.02, 1.0, 0.02])
+    sizes[[1, 3]] *= n_more > 0
+    s, w = 2j * np.pi * lines[:, np.newaxis], 2 * np.pi * f
+    exact = (sizes * s**2 / (s**2 + 2 * damping * w * s + w**2)).sum(axis=1) * np.exp(-2j * np.pi * lines * late)
+    values = exact + noise * (rng.standard_normal(920) + 1j * rng.standard_normal(920)) / np.sqrt(2)
+    table, _ = lines_of(FrequencyResponse(values, lines, window="periodic"), "periodic", 4)
+    poles = np.exp(w[[0, 2]] * (-damping + 1j * np.sqrt(1 - damping**2)) * table.dt)
+    scale = table.output_scale[0] / table.input_scale[0]
+    weight = np.where(table.known, scale / noise, 0.0)
+    fit = refined(table, (poles, np.ones(2, dtype=bool), np.ones((2, 1)) + 0j), weight)
+    more = grown(table, fit, weight)
+    assert more.poles.size == 2 + n_more
+    found = np.sort(np.angle(more.poles)) / (2 * np.pi * table.dt)
+    if n_more:
+        np.testing.assert_allclose(found, f, rtol=2e-3)
