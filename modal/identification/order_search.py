@@ -8,7 +8,7 @@ free run to score: the one-step prediction of the reduced model takes its place.
 The search is coarse to fine. A scout looks at a coarse grid on one fold; the most promising candidates go on to all
 folds; the neighbours of the best are scouted and, where they are promising too, go on as well, until no neighbour is
 better (so a grid that ends too early extends). Model orders are coarse until two observers are left, and go on beyond
-the grid as long as the largest one is the best.
+the grid as long as the largest one is by far the best.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,7 +29,8 @@ OBSERVER_ORDERS = (1, 2, 4, 8, 16, 32, 64, 128, 256)
 RIDGES = (0.0, 1e-5, 1e-3, 1e-1)
 MODEL_ORDERS = (*range(1, 13), 14, 16, 18, 20, 24, 28, 32, 36, 40, 48, 56, 64)
 FURTHER_ORDERS = (72, 80, 92, 104, 120, 136, 156, 180, 206, 236, 270)
-"""Try these, each 15 % more than the last, only where the largest order so far is the best: every second one first."""
+"""Try these, each 15 % more than the last, only where the largest order so far is by far the best: every second one
+first."""
 LEAST_ROWS = 0.75
 """Share of the samples that an observer order must leave as rows; a short record among long ones does not limit it."""
 
@@ -318,11 +319,17 @@ def _trials(
 def _with_larger(
     ground: Ground, coarse: tuple[int, ...], scout: list[Trial], folds: Sequence[int]
 ) -> tuple[tuple[int, ...], list[Trial]]:
-    """Coarse orders and their trials, with larger ones of the best observers as long as none smaller is as good."""
+    """Coarse orders and their trials, with larger ones of the best observers as long as the largest is by far the best.
+
+    By more than two models may differ that count as equal: of noise, and of what no model explains, more states explain
+    a little more at every size.
+    """
     first = ground.records[0]
     most = min(hankel_shape(ground.n_lags, first.n_inputs, first.n_outputs))
     for n in (MODEL_ORDERS[-1], *FURTHER_ORDERS[1::2]):
-        if n > most or not scout or _chosen(sorted(scout, key=_by_error)).model_order < coarse[-1]:
+        largest = [trial.error for trial in scout if trial.model_order == coarse[-1]]
+        smaller = [trial.error for trial in scout if trial.model_order < coarse[-1]]
+        if n > most or not largest or WITHIN * min(largest) + ROUND_OFF**0.5 >= min(smaller, default=np.inf):
             break
         coarse = (*coarse, n)
         scout = scout + _trials(ground, _best_observers(scout, SEMIFINALISTS), [n], folds)
