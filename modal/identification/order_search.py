@@ -9,6 +9,9 @@ The search is coarse to fine. A scout looks at a coarse grid on one fold; the mo
 folds; the neighbours of the best are scouted and, where they are promising too, go on as well, until no neighbour is
 better (so a grid that ends too early extends). Model orders are coarse until two observers are left, and go on beyond
 the grid as long as the largest one is by far the best.
+
+Which trial is taken is decided here too, of those without refinement and of those with it
+(`modal.identification.refined_search`).
 """
 
 from collections.abc import Callable, Sequence

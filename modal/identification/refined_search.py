@@ -95,6 +95,7 @@ class _Workshop:
     errors: dict[tuple[int, float, int, int], list[FloatArray]] = field(default_factory=dict)
     still: set[tuple[int, float, int, int]] = field(default_factory=set)
     refined: dict[tuple[int, float, int], list[Trial]] = field(default_factory=dict)
+    grown: dict[tuple[int, float, int], list[Trial]] = field(default_factory=dict)
 
 
 def output_error_data(ground: Ground) -> OutputError:
@@ -122,8 +123,7 @@ def refined_search(
         at_rest: (n_records, n_inputs) variances of the inputs' noise where a force window took it off.
         progress: called with the share done.
     """
-    first, *others = _observers(found)
-    orders = _orders(found)
+    (first, *others), orders = _observers(found), _orders(found)
     shop = _Workshop(ground=found.ground, data=output_error_data(found.ground), largest_order=max(orders) + 2)
     refined = shop.refined
     resting = found.ground.by == "rows" and all(begins_at_rest(record, FEW) for record in found.ground.scaled)
@@ -241,8 +241,10 @@ def _grown(shop: _Workshop, cut: Trial) -> list[Trial]:
     if cut.refinement_steps < MOST_STEPS:
         return []
     key = (cut.observer_order, cut.ridge, cut.model_order)
-    steps = [shop.steps[*key, fold][-1] for fold in range(len(shop.ground.folds))]
-    return [trial for trial, _ in islice(growing(shop.ground, shop.data, steps, cut), MOST_WEAK_MODES)]
+    if key not in shop.grown:
+        steps = [shop.steps[*key, fold][-1] for fold in range(len(shop.ground.folds))]
+        shop.grown[key] = [trial for trial, _ in islice(growing(shop.ground, shop.data, steps, cut), MOST_WEAK_MODES)]
+    return shop.grown[key]
 
 
 def growing(

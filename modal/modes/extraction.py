@@ -322,7 +322,11 @@ def cannot_be_a_mode(mode: Mode, dt: float) -> bool:
         >>> cannot_be_a_mode(fast, 1 / 200), cannot_be_a_mode(fast, 1 / 400)
         (True, False)
     """
-    return mode.kind in ("unstable", "nyquist") or (mode.kind == "oscillatory" and abs(mode.pole) * dt > np.pi)
+    return mode.kind in ("unstable", "nyquist") or (mode.kind == "oscillatory" and _is_too_fast(mode, dt))
+
+
+def _is_too_fast(mode: Mode, dt: float) -> bool:
+    return abs(mode.pole) * dt > np.pi
 
 
 def _with_indicators(mode: Mode, indicators: Indicators, index: int) -> Mode:
@@ -355,7 +359,7 @@ def remarks(mode: Mode, dt: float) -> tuple[str, ...]:
         return (f"a negative real pole, at half the sampling frequency ({nyquist:.4g} Hz): no mode of the system",)
     if mode.kind == "real":
         return ("a real pole: overdamped or drift, not a vibration mode",)
-    if abs(mode.pole) * dt > np.pi:
+    if _is_too_fast(mode, dt):
         return (f"a natural frequency above half of the sampling frequency ({nyquist:.4g} Hz): no mode of the system",)
     if abs(mode.pole.imag) / (2 * np.pi) >= (1 - NYQUIST_MARGIN) * nyquist:
         return (f"within {100 * NYQUIST_MARGIN:.0f} % of the Nyquist frequency {nyquist:.4g} Hz: may be an alias",)

@@ -52,6 +52,8 @@ ROUNDS = 20
 """Stop after so many rounds over all outputs, where most need three."""
 SKEWED = "output skew"
 """Call the choice so."""
+LIKE = "as behind a multiplexed converter (which shows early what it samples late), a second logger or another filter"
+"""Say so what makes an output late."""
 MOST_NAMED = 6
 """Name so many outputs in a sentence, which then counts the others."""
 
@@ -93,8 +95,7 @@ class Skew:
             "off the shapes"
         )
         text = (
-            f"Outputs are late against one another: the motion shows in {words}, as behind a multiplexed converter "
-            "(which shows early what it samples late), a second logger or another filter; that was taken off. Check "
+            f"Outputs are late against one another: the motion shows in {words}, {LIKE}; that was taken off. Check "
             "clocks and filters of these channels."
         )
         return cls(tuple(late), (Choice(what=SKEWED, value=words, reason=why),), (text,))

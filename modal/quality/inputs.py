@@ -13,7 +13,7 @@ import numpy as np
 
 from modal.modes.mode import Choice
 from modal.modes.response_synthesis import MeasuredFrf
-from modal.modes.skew import SKEWED
+from modal.modes.skew import LIKE, SKEWED
 from modal.preparation.channel import FITTED_ROWS, MOST_ROWS, MOSTLY, SERIOUS, Finding, Level, named, spoken
 from modal.preparation.delay import LEAST_DELAY, choose_input_delay, pulse_steps
 from modal.preparation.kind import find_kind
@@ -283,9 +283,8 @@ def skew_findings(record: Record, choices: Sequence[Choice]) -> list[Finding]:
             level="doubtful",
             what="late",
             where="outputs against one another",
-            sentence=f"the motion shows in {choice.value} against the other outputs, as behind a multiplexed converter "
-            "(which shows early what it samples late), a second logger or another filter: check the clocks and filters "
-            "of these channels; the identification takes it off.",
+            sentence=f"the motion shows in {choice.value} against the other outputs, {LIKE}: check the clocks and "
+            "filters of these channels; the identification takes it off.",
             channels=tuple(name for name in record.output_names if f"{shorten(name)!r} " in choice.value),
         )
         for choice in choices

@@ -254,6 +254,7 @@ def test_as_many_modes_as_there_are_beyond_the_grid_of_orders():
     record = centred(u, y + 0.02 * y.std(axis=0) * rng.standard_normal(y.shape), dt)
     _, found, refined = both_searches(record)
     assert found.chosen.model_order >= 2 * n_modes - 2
+    assert {64, 72, 80} <= {trial.model_order for trial in found.trials}  # coarse ones, and one between them
     assert refined.chosen.model_order in (2 * n_modes, 2 * n_modes + 2)
     assert refined.chosen.error == pytest.approx(0.02, rel=0.05)
 
