@@ -186,7 +186,7 @@ class _Sums:
     Attributes:
         driven: the record's model.
         near: (n_poles, n_poles) which two hardly die out in their product.
-        reach: (n_poles,) one past the last that is near to each.
+        reach: (n_poles,) one past the last that is near to each, zero where none is.
         runs: first row and one past the last.
         partners: (n_sensitivities, n_partners) sums of real signals with their partners, added up.
         squares: (n_inputs, n_inputs) products of the inputs.
@@ -211,7 +211,7 @@ class _Sums:
         return cls(
             driven=driven,
             near=near,
-            reach=n - near[:, ::-1].argmax(axis=1),
+            reach=np.where(near.any(axis=1), n - near[:, ::-1].argmax(axis=1), 0),
             runs=runs,
             partners=np.zeros((size, len(driven.partners))),
             squares=np.zeros((m, m)),
