@@ -163,8 +163,9 @@ def promised_criterion(step: RefinementStep, data: OutputError, coordinates: Coo
 
 
 def _n_numbers(step: RefinementStep, coordinates: Coordinates) -> int:
-    """Of the chart and of the linear part."""
-    return coordinates.slopes(step.parameters).shape[1] + step.layout.n_regressors * step.layout.n_outputs
+    """Of the chart and of the linear part, where a real pole has one state, and a pair two."""
+    n_regressors = step.layout.n_regressors - int((~step.parameters.is_pair).sum())
+    return coordinates.slopes(step.parameters).shape[1] + n_regressors * step.layout.n_outputs
 
 
 def share_of(progress: Callable[[float], None], first: float, last: float) -> Callable[[float], None]:

@@ -147,8 +147,7 @@ def noise_model(
     hopeless = reference is not None and reference.criterion <= least
     fit, ratio, past = None, np.nan, 0
     if not hopeless:
-        candidates = _candidates(first, scaled, order_given=order_given)
-        fit, ratio, past = _likeliest(candidates, first if start.n_inputs else None, data, progress)
+        fit, ratio, past = _likeliest(first, scaled, data, order_given=order_given, progress=progress)
     if fit is None and not hopeless:
         return None, "no model of the noise that was tried leaves white errors"
     gained = np.inf if reference is None else reference.criterion - (least if fit is None else fit.criterion)
@@ -241,28 +240,55 @@ def _follows_inputs(step: RefinementStep, data: OutputError) -> bool:
 
 
 def _likeliest(
-    candidates: Iterator[tuple[Realisation | None, int]],
-    model: Realisation | None,
+    model: Realisation,
+    scaled: Sequence[Record],
     data: OutputError,
+    *,
+    order_given: bool,
     progress: Callable[[float], None],
 ) -> tuple[LikeliestFit | None, float, int]:
     """The first candidate that leaves white errors, its whiteness ratio, and the past that it came from.
 
-    The model stands in where none does, and where its states are more and it is the likelier one.
+    With inputs the model stands in where none does, and where its states are more and it is the likelier one; without
+    them a candidate takes more states as long as they make it likelier.
     """
     best: tuple[LikeliestFit | None, float, int] = None, np.nan, 0
     left = 8 / 9  # after output error; a candidate that fails leaves as much again at most
-    for candidate, past in candidates:
+    variates = CanonicalVariates.of(scaled)
+    for candidate, past in _candidates(model, variates, order_given=order_given):
         step = None if candidate is None else predictor_start(candidate, data)
         fit, ratio = _white(step, data, Sections(), share_of(progress, 1.0 - left, 1.0 - 0.5 * left))
         left *= 0.5
         if fit is not None:
             best = fit, ratio, past
             break
-    if model is None or (best[0] is not None and model.order <= best[0].step.order):
+    if not model.n_inputs:
+        return best if order_given or variates is None else _with_more_states(best, variates, data)
+    if best[0] is not None and model.order <= best[0].step.order:
         return best
     fit, ratio = _white(predictor_start(model, data), data, Sections(), share_of(progress, 1.0 - left, 1.0))
     return best if fit is None or (best[0] is not None and best[0].criterion <= fit.criterion) else (fit, ratio, 0)
+
+
+def _with_more_states(
+    best: tuple[LikeliestFit | None, float, int], variates: CanonicalVariates, data: OutputError
+) -> tuple[LikeliestFit | None, float, int]:
+    """The same with one state or a pair more each time, as long as its criterion falls.
+
+    The errors of many outputs may seem white where one of two close modes is missing, and the other is then far off.
+    What a start with more states promises tells beforehand, at the price of one step, that nearly none are missing.
+    """
+    while best[0] is not None:
+        candidates = [variates.predictor(best[0].step.order + more) for more in (1, 2)]
+        steps = [None if candidate is None else predictor_start(candidate, data) for candidate in candidates]
+        promised = [np.inf if step is None else promised_criterion(step, data, Sections()) for step in steps]
+        if min(promised) >= best[0].criterion:
+            break
+        fit, ratio = _white(steps[int(np.argmin(promised))], data, Sections(), lambda _share: None)
+        if fit is None or fit.criterion >= best[0].criterion:
+            break
+        best = fit, ratio, variates.past
+    return best
 
 
 def _white(
@@ -331,21 +357,20 @@ def _strays(system: Realisation, reference: LikeliestFit, scaled: Sequence[Recor
 
 
 def _candidates(
-    model: Realisation, scaled: Sequence[Record], *, order_given: bool
+    model: Realisation, variates: CanonicalVariates | None, *, order_given: bool
 ) -> Iterator[tuple[Realisation | None, int]]:
     """Of canonical variates, with their past; without them and without inputs, the model.
 
-    Their own criterion gives the order, states of the noise among them, no larger than the search tries; where that
-    leaves errors that are not white the order grows, by a pair, then by half or to Akaike's; without inputs to that of
-    the model.
+    Their own criterion gives the order, states of the noise among them; where that leaves errors that are not white the
+    order grows, by a pair, then by half or to Akaike's; without inputs to that of the model.
     What held-out rows choose for a free run is no order of the noise, and where forces that nobody measured drive most,
     none of the system.
     A realisation of what an observer recovers loses much of what its outputs' covariance tells: with 28 modes in 8
     outputs 96 steps from there ended below where the variates start.
     """
-    variates, made = CanonicalVariates.of(scaled), False
+    made = False
     if variates is not None:
-        own, largest = min(variates.order, MODEL_ORDERS[-1]), MODEL_ORDERS[-1]
+        own, largest = variates.order, max(variates.order, MODEL_ORDERS[-1])
         more = own + 2, max(own + own // 2, variates.largest_order)
         orders = [own, *(min(n, largest) for n in more)] if model.n_inputs else _growing(own, model.order)
         for order in [model.order] if order_given and not model.n_inputs else orders:
@@ -357,16 +382,16 @@ def _candidates(
 
 
 def _growing(own: int, most: int) -> list[int]:
-    """Orders from the first to the last, each by about half as large again, whole pairs more.
+    """Orders from the first to the last: a pair more, then each by about half as large again, whole pairs more.
 
     The smallest that leaves white errors is asked for: a long observer gives a model of many states, and what too many
     states make of the noise may look like modes.
 
     Example:
         >>> _growing(6, 56), _growing(6, 4)
-        ([6, 10, 14, 22, 34, 50, 56], [6])
+        ([6, 8, 12, 18, 26, 38, 56], [6])
     """
-    orders = [own]
+    orders = [own] if own >= most else [own, min(most, own + 2)]
     while orders[-1] < most:
         orders.append(min(most, orders[-1] + 2 * max(1, round(orders[-1] / 4))))
     return orders

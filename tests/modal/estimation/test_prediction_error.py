@@ -71,6 +71,18 @@ def test_the_gradient_is_that_of_the_error_along_every_coordinate(name):
         )
 
 
+@pytest.mark.parametrize("name", POLES)
+def test_as_many_numbers_count_as_matrices_in_no_particular_basis_have(name):
+    """A, B - K D, K, C, a start of each record less a change of basis; D, and a level of each record."""
+    poles, is_pair = POLES[name]
+    rng = np.random.default_rng(3)
+    records = records_of(rng)
+    data = predictor_data(records, [record.complete_rows() for record in records])
+    fit = likeliest(step_at(parameters_of(rng, poles, is_pair), data), data, CHART, rounds=0)
+    n, m, q = len(poles) + sum(is_pair), 2, 2
+    assert fit.n_numbers == n * n + n * (m + q) + q * n + 2 * n - n * n + q * m + 2 * q
+
+
 def test_two_real_poles_become_a_pair_and_back_and_no_step_leaves_the_unit_circle():
     rng = np.random.default_rng(4)
     start = parameters_of(rng, [0.7, 0.5], [False, False])
