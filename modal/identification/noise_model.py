@@ -147,9 +147,10 @@ def noise_model(
     hopeless = reference is not None and reference.criterion <= least
     fit, ratio, past = None, np.nan, 0
     if not hopeless:
-        fit, ratio, past = _likeliest(first, scaled, data, order_given=order_given, progress=progress)
+        below = np.inf if reference is None or feedback else reference.criterion
+        fit, ratio, past = _likeliest(first, scaled, data, order_given=order_given, below=below, progress=progress)
     if fit is None and not hopeless:
-        return None, "no model of the noise that was tried leaves white errors"
+        return None, "no model of the noise that was tried is likelier and leaves white errors"
     gained = np.inf if reference is None else reference.criterion - (least if fit is None else fit.criterion)
     if fit is None or (gained <= 0.0 and not feedback):
         return None, f"what is left is as likely to be white noise (criterion {-gained:.3g} in favour)"
@@ -245,19 +246,21 @@ def _likeliest(
     data: OutputError,
     *,
     order_given: bool,
+    below: float,
     progress: Callable[[float], None],
 ) -> tuple[LikeliestFit | None, float, int]:
     """The first candidate that leaves white errors, its whiteness ratio, and the past that it came from.
 
     With inputs the model stands in where none does, and where its states are more and it is the likelier one; without
-    them a candidate takes more states as long as they make it likelier.
+    them a candidate takes more states as long as they make it likelier. One that promises a criterion of no less than
+    `below` is not fitted.
     """
     best: tuple[LikeliestFit | None, float, int] = None, np.nan, 0
     left = 8 / 9  # after output error; a candidate that fails leaves as much again at most
     variates = CanonicalVariates.of(scaled)
     for candidate, past in _candidates(model, variates, order_given=order_given):
         step = None if candidate is None else predictor_start(candidate, data)
-        fit, ratio = _white(step, data, Sections(), share_of(progress, 1.0 - left, 1.0 - 0.5 * left))
+        fit, ratio = _white(step, data, Sections(), below, share_of(progress, 1.0 - left, 1.0 - 0.5 * left))
         left *= 0.5
         if fit is not None:
             best = fit, ratio, past
@@ -266,8 +269,9 @@ def _likeliest(
         return best if order_given or variates is None else _with_more_states(best, variates, data)
     if best[0] is not None and model.order <= best[0].step.order:
         return best
-    fit, ratio = _white(predictor_start(model, data), data, Sections(), share_of(progress, 1.0 - left, 1.0))
-    return best if fit is None or (best[0] is not None and best[0].criterion <= fit.criterion) else (fit, ratio, 0)
+    below = below if best[0] is None else best[0].criterion
+    fit, ratio = _white(predictor_start(model, data), data, Sections(), below, share_of(progress, 1.0 - left, 1.0))
+    return best if fit is None or fit.criterion >= below else (fit, ratio, 0)
 
 
 def _with_more_states(
@@ -282,9 +286,8 @@ def _with_more_states(
         candidates = [variates.predictor(best[0].step.order + more) for more in (1, 2)]
         steps = [None if candidate is None else predictor_start(candidate, data) for candidate in candidates]
         promised = [np.inf if step is None else promised_criterion(step, data, Sections()) for step in steps]
-        if min(promised) >= best[0].criterion:
-            break
-        fit, ratio = _white(steps[int(np.argmin(promised))], data, Sections(), lambda _share: None)
+        step = steps[int(np.argmin(promised))]
+        fit, ratio = _white(step, data, Sections(), best[0].criterion, lambda _share: None)
         if fit is None or fit.criterion >= best[0].criterion:
             break
         best = fit, ratio, variates.past
@@ -292,11 +295,20 @@ def _with_more_states(
 
 
 def _white(
-    step: RefinementStep | None, data: OutputError, coordinates: Sections, progress: Callable[[float], None]
+    step: RefinementStep | None,
+    data: OutputError,
+    coordinates: Sections,
+    below: float,
+    progress: Callable[[float], None],
 ) -> tuple[LikeliestFit | None, float]:
-    """The likeliest predictor from this start and the whiteness ratio of its errors; None where they are not white."""
+    """The likeliest predictor from this start and the whiteness ratio of its errors.
+
+    None where they are not white, or where the start promises a criterion of no less than `below`.
+    """
     n_values = n_rows_of(data) * data.records[0].n_outputs
     if step is None or step.layout.n_sensitivities * ROWS_A_NUMBER > n_values:
+        return None, np.nan
+    if below < np.inf and promised_criterion(step, data, coordinates) >= below:
         return None, np.nan
     fit = likeliest(step, data, coordinates, excess=partial(_excess, data=data), progress=progress)
     white = _whiteness(fit.step, data)
@@ -421,7 +433,7 @@ def _apart(fit: LikeliestFit, ratio: float, order: int, data: OutputError, dt: f
     inputs = step.parameters.inputs.copy()
     inputs[:, m:][np.abs(inputs[:, m:]).max(axis=1) < ROUNDED] = 0.0
     start = step_at(replace(step.parameters, inputs=inputs), data)
-    apart, white = _white(start, data, Sections(n_measured=m), lambda _share: None)
+    apart, white = _white(start, data, Sections(n_measured=m), fit.criterion, lambda _share: None)
     return (fit, ratio) if apart is None or apart.criterion >= fit.criterion else (apart, white)
 
 
