@@ -47,6 +47,13 @@ def files(tmp_path_factory):
     ]
 
 
+@pytest.fixture(scope="module")
+def fitted(files):
+    """The first halves of both files, and the motor that they show."""
+    records = [halves(motor_record(path, drive="u", speed="speed", counts=True))[0] for path in files]
+    return records, first_order(records)
+
+
 def test_the_script_finds_friction_delay_and_time_constant(files, capsys):
     assert measured_motor.main([*map(str, files), "--inputs", "u", "--outputs", "speed", "--counts"]) in (0, 1)
     told = capsys.readouterr().out
@@ -66,10 +73,9 @@ def test_the_script_finds_friction_delay_and_time_constant(files, capsys):
     assert "always turned one way" in told
 
 
-def test_the_stages_are_those_of_a_first_order_motor(files):
+def test_the_stages_are_those_of_a_first_order_motor(files, fitted):
     records = [motor_record(path, drive="u", speed="speed", counts=True) for path in files]
-    fits = [halves(record)[0] for record in records]
-    found = first_order(fits)
+    _, found = fitted
     assert abs(found.rate - RATE) < 0.1 * RATE
     assert abs(found.gain - GAIN) < 0.1 * GAIN
     hand = by_hand(records, FirstOrder(rate=RATE, gain=GAIN))
@@ -112,12 +118,12 @@ def test_a_reading_by_hand_of_a_motor_that_turns_both_ways():
     assert hand.n_speeds == 4
 
 
-def test_an_empty_cell_of_the_speed_is_left_out(files):
-    whole = [halves(motor_record(path, drive="u", speed="speed", counts=True))[0] for path in files]
+def test_an_empty_cell_of_the_speed_is_left_out(fitted):
+    whole, before = fitted
     holed = [replace(record, outputs=record.outputs.copy()) for record in whole]
     holed[0].outputs.setflags(write=True)
     holed[0].outputs[100, 0] = np.nan
-    found, before = first_order(holed), first_order(whole)
+    found = first_order(holed)
     assert found.gain == pytest.approx(before.gain, rel=0.01)
     assert found.gain == pytest.approx(GAIN, rel=0.1)
 

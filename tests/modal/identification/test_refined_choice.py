@@ -243,7 +243,7 @@ def test_orders_are_mostly_smaller_whole_pairs_above_a_few(linear):
 def test_as_many_modes_as_there_are_beyond_the_grid_of_orders():
     """Orders ended at 64 states: of more modes than 32 pairs became one, far from either and certain."""
     rng = np.random.default_rng(5)
-    n_modes, n_samples, n_outputs, dt = 36, 3000, 10, 0.01
+    n_modes, n_samples, n_outputs, dt = 36, 3000, 6, 0.01
     angular = 2 * np.pi * dt * np.sort(rng.uniform(1.0, 44.0, n_modes))
     poles = np.exp(angular * (1j - rng.uniform(0.006, 0.02, n_modes)))
     u = rng.standard_normal((n_samples, 2))

@@ -2,6 +2,7 @@
 
 import warnings
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from functools import partial
 from multiprocessing import get_context
 
 import numpy as np
@@ -21,9 +22,8 @@ def record(seed):
     return Record(force, tip + 0.02 * rng.standard_normal(400), 0.01)
 
 
-def searched(one):
-    """The model order is searched, and refined, as always; of one observer."""
-    return identify(one, observer_order=20, ridge=0.0)
+searched = partial(identify, observer_order=20, ridge=0.0)
+"""The model order is searched, and refined, as always; of one observer."""
 
 
 def numbers(result):
@@ -48,5 +48,5 @@ def test_four_threads_give_the_same_results(tmp_path):
 def test_processes_of_their_own_give_the_same_bytes():
     records = [record(seed) for seed in range(2)]
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        at_once = [numbers(one) for one in pool.map(identify, records)]
-    assert at_once == [numbers(identify(one)) for one in records]
+        at_once = [numbers(one) for one in pool.map(searched, records)]
+    assert at_once == [numbers(searched(one)) for one in records]

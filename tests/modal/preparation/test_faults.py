@@ -163,7 +163,7 @@ def test_what_rings_on_after_clipping_is_a_decay(force, spike):
     clean = mended((record,)).records
     (kept,), kind = free_of_clipping((record,), find_kind(clean), clean)
     assert (kept.n_inputs, kind.kind, kind.starts) == (0, "decay", (last - (0 if force else 51),))
-    result = identify(record)
+    result = identify(record, observer_order=32, ridge=0.0, order=4)
     found = [mode.frequency for mode in result.modes.system]
     np.testing.assert_allclose(found, np.array([0.3, 0.9]) / (2 * np.pi * 0.01), rtol=1e-3)
 
@@ -174,7 +174,7 @@ def test_blows_that_nobody_measured_are_no_ambient_motion_where_they_are_clipped
     each = [ringing(rng, size=size, n_samples=1200)[0].outputs for size in (1.0, 0.8, 1.1)]
     record = Record([], np.clip(np.concatenate(each), -0.5, 0.5), 0.01)
     assert find_kind([record]).kind == "ambient"
-    result = identify(record)
+    result = identify(record, observer_order=32, ridge=0.0, order=4)
     assert result.record_kind == "decay"
     found = [mode.frequency for mode in result.modes.system]
     np.testing.assert_allclose(found, np.array([0.3, 0.9]) / (2 * np.pi * 0.01), rtol=1e-3)
@@ -187,7 +187,7 @@ def test_nothing_tells_what_limits_make_of_motion_that_is_not_steady():
     gusts[1500:2700] = 20.0
     size = 1.5 * (gusts[:, np.newaxis] * record.outputs).std(axis=0)
     clipped = replace(record, outputs=np.clip(gusts[:, np.newaxis] * record.outputs, -size, size))
-    result = identify(clipped)
+    result = identify(clipped, observer_order=16, ridge=0.003, order=10)
     assert result.record_kind == "ambient"
     assert not result.modes.system
     assert any("not steady, so nothing tells what their limits" in mode.reason for mode in result.modes)
@@ -295,7 +295,7 @@ def test_with_inputs_or_gaps():
 
 def test_a_machine_makes_no_mode_and_takes_none():
     made, record = ambient_record("machine_lines", 0)
-    result = identify(record)
+    result = identify(record, observer_order=16, ridge=1e-5, order=10)
     found = np.array([mode.frequency for mode in result.modes.system])
     assert found.size == made.frequencies.size
     assert (np.abs(np.sort(found) - made.frequencies) < 0.01 * made.frequencies).all()

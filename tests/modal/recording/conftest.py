@@ -1,5 +1,8 @@
 """An identification made by hand: known modes, a plain simulation loop, made-up evidence; no code under test."""
 
+import importlib.util
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -315,6 +318,16 @@ class Stored:
 @pytest.fixture(scope="session")
 def read():
     return Stored
+
+
+@pytest.fixture(scope="session")
+def exit_of():
+    """Exit status of the command `rerun`, which checks and compares recordings, for its arguments."""
+    if importlib.util.find_spec("rerun_cli") is None:
+        pytest.skip("the command `rerun`, which checks and compares recordings, is not installed beside rerun-sdk")
+    # `-m rerun` loads the whole library first, `-m rerun_cli` forgets the status
+    command = [sys.executable, "-c", "import sys; from rerun_cli.__main__ import main; sys.exit(main())"]
+    return lambda *arguments: subprocess.run([*command, *arguments], capture_output=True, check=False).returncode
 
 
 @pytest.fixture(scope="session")

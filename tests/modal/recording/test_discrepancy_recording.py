@@ -1,8 +1,6 @@
 """The recording of a diagnosis: what is drawn is stored, the gap shrinks on the timeline "step", names are harmless."""
 
 import re
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -106,12 +104,11 @@ def test_words_name_what_was_found(stored):
     assert "Add a record at twice the level" in text
 
 
-@pytest.mark.parametrize(("status", "n_effects"), [("named", 2), ("named", 1), ("unresolved", 1), ("none", 0)])
-def test_every_view_has_a_name_and_data_below_its_origin(diagnosis_of, tmp_path, read, status, n_effects):
-    found = diagnosis_of(status, n_effects)
+@pytest.mark.parametrize("kind", [("named", 2), ("named", 1), ("unresolved", 1), ("none", 0)])
+def test_every_view_has_a_name_and_data_below_its_origin(diagnosis_of, tmp_path, read, exit_of, kind):
+    found = diagnosis_of(*kind)
     path = save_recording(found, tmp_path / "gap.rrd")
-    verified = subprocess.run([sys.executable, "-m", "rerun", "rrd", "verify", str(path)], check=False)
-    assert verified.returncode == 0
+    assert exit_of("rrd", "verify", path) == 0
     paths = {str(c.entity_path) for c in read(path).store.schema().component_columns()}
     layout = diagnosis_blueprint(found, planned_diagnosis(found))
     pages = layout.root_container.contents
@@ -158,11 +155,10 @@ def test_the_identity_follows_the_content(diagnosis, diagnosis_of):
     assert diagnosis_id(diagnosis) != diagnosis_id(replace(diagnosis, status="unresolved"))
 
 
-def test_two_recordings_of_the_same_diagnosis_compare_equal(diagnosis_of, tmp_path):
+def test_two_recordings_of_the_same_diagnosis_compare_equal(diagnosis_of, tmp_path, exit_of):
     found = diagnosis_of("none", 0)
-    paths = [str(save_recording(found, tmp_path / name)) for name in ("a.rrd", "b.rrd")]
-    compared = subprocess.run([sys.executable, "-m", "rerun", "rrd", "compare", "--unordered", *paths], check=False)
-    assert compared.returncode == 0
+    paths = [save_recording(found, tmp_path / name) for name in ("a.rrd", "b.rrd")]
+    assert exit_of("rrd", "compare", "--unordered", *paths) == 0
 
 
 def test_wrong_use_is_one_sentence(diagnosis, identification):

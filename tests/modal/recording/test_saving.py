@@ -1,6 +1,5 @@
 """Writing: complete or not at all, never over another file unasked, the same twice, valid for Rerun itself."""
 
-import importlib.util
 import subprocess
 import sys
 from dataclasses import replace
@@ -13,25 +12,17 @@ from modal.recording.stream import content_id
 from okid.errors import InvalidDataError
 
 
-def rerun(*arguments):
-    if importlib.util.find_spec("rerun_cli") is None:
-        pytest.skip("the command `rerun`, which checks and compares recordings, is not installed beside rerun-sdk")
-    return subprocess.run(
-        [sys.executable, "-m", "rerun", *map(str, arguments)], capture_output=True, text=True, check=False
-    )
-
-
-def test_two_recordings_of_the_same_result_compare_equal_and_verify(build, tmp_path, read):
+def test_two_recordings_of_the_same_result_compare_equal_and_verify(build, tmp_path, read, exit_of):
     first = save_recording(build(missing=True, n_records=2), tmp_path / "a.rrd")
     second = save_recording(build(missing=True, n_records=2), tmp_path / "b.rrd")
-    assert rerun("rrd", "compare", "--unordered", first, second).returncode == 0
-    assert rerun("rrd", "verify", first).returncode == 0
+    assert exit_of("rrd", "compare", "--unordered", first, second) == 0
+    assert exit_of("rrd", "verify", first) == 0
     ids = {read(path).reader.recordings()[0].recording_id for path in (first, second)}
     assert len(ids) == 1
     assert "log_time" not in read(first).timelines()
     # and another result is told apart
     third = save_recording(build(missing=True, n_records=2, seed=2), tmp_path / "c.rrd")
-    assert rerun("rrd", "compare", "--unordered", first, third).returncode != 0
+    assert exit_of("rrd", "compare", "--unordered", first, third) != 0
 
 
 def test_the_identity_follows_the_content(identification, build):
@@ -116,8 +107,8 @@ def test_a_long_record_stays_small_and_keeps_its_extremes(build, tmp_path, read)
     assert "smallest and the largest of every 5 samples" in read(path).static("/fit/text", "TextDocument:text")[0]
 
 
-def test_records_without_a_name_give_the_same_recording_under_any_file_name(identification, tmp_path):
+def test_records_without_a_name_give_the_same_recording_under_any_file_name(identification, tmp_path, exit_of):
     records = tuple(replace(record, name="") for record in identification.records)
     unnamed = replace(identification, records=records)
     first, second = (save_recording(unnamed, tmp_path / f"{name}.rrd") for name in "ab")
-    assert rerun("rrd", "compare", "--unordered", first, second).returncode == 0
+    assert exit_of("rrd", "compare", "--unordered", first, second) == 0

@@ -1,9 +1,5 @@
 """The recording of modes through time, read back and compared with the table it was made from, number by number."""
 
-import importlib.util
-import subprocess
-import sys
-
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -205,16 +201,13 @@ def test_a_table_of_frequencies_alone_and_an_empty_one_have_their_recording(tmp_
     assert "0 modes followed" in stored.static("/words", "TextDocument:text")[0]
 
 
-def test_the_same_tracks_give_the_same_recording_in_place_of_the_old_one(tracks, tmp_path):
-    if importlib.util.find_spec("rerun_cli") is None:
-        pytest.skip("the command `rerun`, which compares recordings, is not installed beside rerun-sdk")
+def test_the_same_tracks_give_the_same_recording_in_place_of_the_old_one(tracks, tmp_path, exit_of):
     written = []
     for name in ("first", "second"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "tracks.rrd").write_text("an old one")
         written.append(write_tracks(tracks, tmp_path / name).recording)
-    compare = [sys.executable, "-m", "rerun", "rrd", "compare", "--unordered", *written]
-    assert subprocess.run(compare, check=False).returncode == 0
+    assert exit_of("rrd", "compare", "--unordered", *written) == 0
 
 
 def test_what_fails_on_the_way_leaves_the_old_file_and_no_part(tracks, tmp_path, monkeypatch):

@@ -10,7 +10,7 @@ from modal.verdict.filled import told_where_measured
 from okid.record import Record
 
 DT, N = 0.01, 4000
-GIVEN = {"observer_order": 20, "ridge": 0.0, "input_delay": 0}
+GIVEN = {"observer_order": 20, "ridge": 0.0, "order": 4, "input_delay": 0}
 """What a search would take about the same."""
 
 
@@ -63,7 +63,7 @@ def test_a_model_of_the_filled_record_alone_has_no_certain_mode():
     force = rng.standard_normal(N)
     outputs = answers(force, (3.0, 0.01, [1.0, 0.7])) + 0.03 * rng.standard_normal((N, 2))
     there = rng.random(outputs.shape) > 0.2
-    result = modal.identify(Record(force, np.where(there, outputs, np.nan), DT), order=2, **GIVEN)
+    result = modal.identify(Record(force, np.where(there, outputs, np.nan), DT), **GIVEN | {"order": 2})
     left = [record.outputs - run.outputs for record, run in zip(result.records, result.simulated, strict=True)]
     asked = (result.modes, result.records, left, [there])
     assert told_where_measured(*asked, is_driven=True, is_fitted=True).system
@@ -94,7 +94,7 @@ def test_deviations_of_a_decay_with_missing_samples_hold(seeds):
         each = [np.exp(-z * f * turned) * np.cos(f * np.sqrt(1 - z**2) * turned + f) for f, z in modes]
         outputs = np.column_stack(each) @ rng.standard_normal((3, 3)) + 6e-3 * rng.standard_normal((3000, 3))
         outputs[rng.random(outputs.shape) < 0.1] = np.nan
-        result = modal.identify(Record([], outputs, DT), kind="decay", order=6)
+        result = modal.identify(Record([], outputs, DT), kind="decay", observer_order=91, ridge=3e-6, order=6)
         for frequency, ratio in modes:
             (mode,) = system_near(result, frequency)
             z.append((mode.frequency - frequency) / mode.frequency_std)

@@ -58,7 +58,7 @@ def test_half_of_the_band_shows_its_modes_and_no_others_whatever_poles_are_left_
     assert min(halves(result)) > 0.95
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_mode_that_one_part_alone_drives_does_not_take_the_others_with_it(seed):
     """The first seconds drive 6 Hz, all others 20 Hz; a fifth of noise hides what else they do."""
     rng = np.random.default_rng((seed, 7))
@@ -98,7 +98,9 @@ def swept_past(seed, *, frequencies=TIGHT, duration=10.0, ends=(3.0, 200.0), noi
     return Record(u, y + scatter * errors, 1 / RATE)
 
 
-@pytest.mark.parametrize(("seed", "ends"), [(2, (200.0, 4.0)), (4, (200.0, 4.0)), (11, (3.0, 200.0))])
+@pytest.mark.parametrize(
+    ("seed", "ends"), [pytest.param(2, (200.0, 4.0), marks=pytest.mark.slow), (4, (200.0, 4.0)), (11, (3.0, 200.0))]
+)
 def test_modes_that_a_sweep_passes_in_one_tenth_of_the_record_are_found_in_both_halves(seed, ends):
     """A fold or half of tenths held all five modes or none: up to five were not found, or called noise."""
     result = identify(swept_past(seed, ends=ends))
