@@ -6,9 +6,7 @@ others, so the number of steps is a choice like the order (early stopping), and 
 needs fewer states than one that must make up for its observer's bias.
 
 Two observers start it, the best and the best of another order or ridge: what Gauss-Newton steps reach depends on where
-they start.
-
-The chosen model refined on all rows, as a state-space model in the units of the records.
+they start. The chosen model is refined on all rows, as a state-space model in the units of the records.
 
 Where a refinement may run until it stands still and leaves white noise, its last steps weigh each output by the noise
 that it has: then it is the maximum-likelihood estimate for noise on the outputs, and reaches the Cramer-Rao bound.
@@ -56,6 +54,7 @@ from modal.estimation.output_error import (
 from modal.estimation.prediction_error import NOISE_FREE
 from modal.estimation.weights import UNTIL_STILL, beside_blows, set_aside, weighted, whiteness_ratio
 from modal.identification.order_search import (
+    FURTHER_ORDERS,
     MODEL_ORDERS,
     MOST_STEPS,
     Search,
@@ -182,7 +181,7 @@ def _pursued(
     Args:
         shop: of the refinements.
         observer: (order, ridge) whose evidence the models keep.
-        model_orders: that may be tried: even ones up to the largest, or the one that was given.
+        model_orders: that may be tried: even ones, beyond the grid too, or the one that was given.
         data: of the workshop, less the rows in which a blow acts or a filter rings by it: no mode is of these.
         turns: the model and the likeliest forces by turns, and data with those.
     """
@@ -192,7 +191,8 @@ def _pursued(
     ]
     step: RefinementStep | None = nothing_yet(data)
     best, without_gain = None, 0
-    while 2 * len(trials) + 2 <= max(model_orders) and without_gain < PATIENCE:
+    most = FURTHER_ORDERS[-1] if len(model_orders) > 1 else model_orders[0]
+    while 2 * len(trials) + 2 <= most and without_gain < PATIENCE:
         step = None if step is None else with_weak_mode(step, data, by="blow")
         if step is None:
             break
