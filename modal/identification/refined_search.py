@@ -22,6 +22,7 @@ import numpy as np
 from era.realisation import Realisation
 from modal.estimation.cross_validation import (
     GAIN,
+    WITHIN,
     Folds,
     Ground,
     Trial,
@@ -127,8 +128,7 @@ def refined_search(
     refined = shop.refined
     resting = found.ground.by == "rows" and all(begins_at_rest(record, FEW) for record in found.ground.scaled)
     of_forces = _noise_of_forces(shop.data, found.ground.scaling, acting, at_rest)
-    # by rows, of a long record one stretch is scored
-    pairs = zip(acting, found.ground.first_rows, found.ground.scaled, strict=False)
+    pairs = zip(acting, found.ground.first_rows, found.ground.scaled, strict=False)  # of a long one a stretch is scored
     seen = [rows[first : first + record.n_samples] for rows, first, record in pairs]
     beside = beside_blows(seen)
     following = shop.data if shop.data.measured or not seen else set_aside(shop.data, beside)
@@ -172,8 +172,7 @@ def _pursued(
     """Trials of models that grow from nothing by the strongest mode of what is left, as long as held-out rows gain.
 
     An answer to a blow is over before an observer has seen enough of it, and its weak modes lie far below the others;
-    but it is a sum of a few answers, of which each takes its own part of the squared error. All rows find where each
-    fold starts, which then fits its own.
+    but each takes its own part of the squared error. All rows find where each fold starts, which then fits its own.
 
     What the sensor of a force erred by makes an answer of its own of every blow, which no mode is to follow: as soon as
     what is left is no larger than that, the likeliest forces take its place.
@@ -181,14 +180,13 @@ def _pursued(
     Args:
         shop: of the refinements.
         observer: (order, ridge) whose evidence the models keep.
-        model_orders: that may be tried: even ones, beyond the grid too, or the one that was given.
+        model_orders: of the grid, or the one that was given.
         data: of the workshop, less the rows in which a blow acts or a filter rings by it: no mode is of these.
         turns: the model and the likeliest forces by turns, and data with those.
     """
     trials: list[Trial] = []
-    scored = [
-        [i for i, block in enumerate(shop.data.blocks) if block.label == f] for f in range(len(shop.ground.folds))
-    ]
+    folds = range(len(shop.ground.folds))
+    scored = [[i for i, block in enumerate(shop.data.blocks) if block.label == fold] for fold in folds]
     step: RefinementStep | None = nothing_yet(data)
     best, without_gain = None, 0
     most = FURTHER_ORDERS[-1] if len(model_orders) > 1 else model_orders[0]
@@ -207,6 +205,8 @@ def _pursued(
         made = trial_of(*observer, 2 * n, errors, shop.ground.power, refinement_steps=MOST_STEPS, weak_modes=n)
         trials.append(made)
         gains = best is None or significantly_worse(best, made)
+        if made.model_order > max(model_orders):  # the last few together take more than what counts as equal
+            gains = gains and trials[-1 - MOST_WEAK_MODES :][0].error > WITHIN * made.error
         best, without_gain = (made, 0) if gains else (best, without_gain + 1)
     return trials if len(model_orders) > 1 else [trial for trial in trials if trial.model_order in model_orders]
 

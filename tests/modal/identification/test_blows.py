@@ -11,9 +11,9 @@ from systems import simulate, three_modes
 
 from era.realisation import Realisation
 from modal.identification.covariance import judged_deviations
-from modal.identification.order_search import MOST_STEPS
+from modal.identification.order_search import MOST_STEPS, search
 from modal.identification.pipeline import identify
-from modal.identification.refined_search import refined_model
+from modal.identification.refined_search import refined_model, refined_search
 from modal.modes.extraction import extract_modes
 from okid.record import Record
 
@@ -285,3 +285,15 @@ def test_deviations_of_feedthrough_hold_the_errors_of_blows(colour):
         known, *_ = judged_deviations(model, extract_modes(model.realisation).modes, n_lags=1, fed_back=False)
         squares.append(np.square((model.realisation.D - truth.D) / known.markov_std[0]))
     assert np.mean(squares) == pytest.approx(1.0, abs=0.6)
+
+
+def test_modes_grow_beyond_the_grid_of_orders(monkeypatch):
+    monkeypatch.setattr("modal.identification.order_search.MODEL_ORDERS", (1, 2, 4))
+    rng, truth = three_modes(5, n_inputs=1)
+    records, acting = struck(rng, truth, loud=0.0)
+    rest = [np.vstack([np.zeros((20, 4)), np.hstack([one.inputs, one.outputs])]) for one in records]
+    records = [Record(one[:, :1], one[:, 1:], truth.dt) for one in rest]
+    acting = [np.r_[np.zeros(20, dtype=bool), own] for own in acting]
+    trials = refined_search(search(records, folds="rows"), acting=acting).trials
+    grown = [trial for trial in trials if trial.weak_modes and trial.model_order == 2 * trial.weak_modes]
+    assert min(grown, key=lambda trial: trial.error).model_order == 6
