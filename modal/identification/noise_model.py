@@ -146,11 +146,12 @@ def noise_model(
     least = -np.inf if reference is None or feedback else _least_criterion(reference, first, data)
     hopeless = reference is not None and reference.criterion <= least
     fit, ratio, past = None, np.nan, 0
+    below = np.inf if reference is None or feedback else reference.criterion
     if not hopeless:
-        below = np.inf if reference is None or feedback else reference.criterion
         fit, ratio, past = _likeliest(first, scaled, data, order_given=order_given, below=below, progress=progress)
     if fit is None and not hopeless:
-        return None, "no model of the noise that was tried is likelier and leaves white errors"
+        likelier = "" if below == np.inf else "is likelier and "
+        return None, f"no model of the noise that was tried {likelier}leaves white errors"
     gained = np.inf if reference is None else reference.criterion - (least if fit is None else fit.criterion)
     if fit is None or (gained <= 0.0 and not feedback):
         return None, f"what is left is as likely to be white noise (criterion {-gained:.3g} in favour)"
@@ -253,7 +254,7 @@ def _likeliest(
 
     With inputs the model stands in where none does, and where its states are more and it is the likelier one; without
     them a candidate takes more states as long as they make it likelier. One that promises a criterion of no less than
-    `below` is not fitted.
+    `below`, or than the best so far, is not fitted.
     """
     best: tuple[LikeliestFit | None, float, int] = None, np.nan, 0
     left = 8 / 9  # after output error; a candidate that fails leaves as much again at most
@@ -266,7 +267,9 @@ def _likeliest(
             best = fit, ratio, past
             break
     if not model.n_inputs:
-        return best if order_given or variates is None else _with_more_states(best, variates, data)
+        if order_given or variates is None or best[0] is None:
+            return best
+        return *_with_more_states(best[0], best[1], variates, data, share_of(progress, 1.0 - left, 1.0)), best[2]
     if best[0] is not None and model.order <= best[0].step.order:
         return best
     below = below if best[0] is None else best[0].criterion
@@ -275,23 +278,36 @@ def _likeliest(
 
 
 def _with_more_states(
-    best: tuple[LikeliestFit | None, float, int], variates: CanonicalVariates, data: OutputError
-) -> tuple[LikeliestFit | None, float, int]:
-    """The same with one state or a pair more each time, as long as its criterion falls.
+    best: LikeliestFit,
+    ratio: float,
+    variates: CanonicalVariates,
+    data: OutputError,
+    progress: Callable[[float], None],
+) -> tuple[LikeliestFit, float]:
+    """The same with one state or a pair more each time, as long as its criterion falls; and its whiteness ratio.
 
     The errors of many outputs may seem white where one of two close modes is missing, and the other is then far off.
-    What a start with more states promises tells beforehand, at the price of one step, that nearly none are missing.
+    What a start with more states promises, less half of what that of the best promised and did not keep, tells
+    beforehand, at the price of a step each, that nearly none are missing.
     """
-    while best[0] is not None:
-        candidates = [variates.predictor(best[0].step.order + more) for more in (1, 2)]
-        steps = [None if candidate is None else predictor_start(candidate, data) for candidate in candidates]
-        promised = [np.inf if step is None else promised_criterion(step, data, Sections()) for step in steps]
-        step = steps[int(np.argmin(promised))]
-        fit, ratio = _white(step, data, Sections(), best[0].criterion, lambda _share: None)
-        if fit is None or fit.criterion >= best[0].criterion:
-            break
-        best = fit, ratio, variates.past
-    return best
+    start = _start_of(variates, best.step.order, data)
+    promised = np.inf if start is None else promised_criterion(start, data, Sections())
+    while True:
+        broken = 0.5 * max(0.0, best.criterion - promised)
+        starts = [_start_of(variates, best.step.order + more, data) for more in (1, 2)]
+        each = [np.inf if one is None else promised_criterion(one, data, Sections()) for one in starts]
+        promised, start = min(zip(each, starts, strict=True), key=lambda one: one[0])
+        if promised + broken >= best.criterion:
+            return best, ratio
+        fit, white = _white(start, data, Sections(), np.inf, progress)
+        if fit is None or fit.criterion >= best.criterion:
+            return best, ratio
+        best, ratio = fit, white
+
+
+def _start_of(variates: CanonicalVariates, order: int, data: OutputError) -> RefinementStep | None:
+    candidate = variates.predictor(order)
+    return None if candidate is None else predictor_start(candidate, data)
 
 
 def _white(
@@ -374,7 +390,7 @@ def _candidates(
     """Of canonical variates, with their past; without them and without inputs, the model.
 
     Their own criterion gives the order, states of the noise among them; where that leaves errors that are not white the
-    order grows, by a pair, then by half or to Akaike's; without inputs to that of the model.
+    order grows, by a pair, then by half or to Akaike's, with inputs within the grid; without them to that of the model.
     What held-out rows choose for a free run is no order of the noise, and where forces that nobody measured drive most,
     none of the system.
     A realisation of what an observer recovers loses much of what its outputs' covariance tells: with 28 modes in 8
@@ -385,7 +401,7 @@ def _candidates(
         own, largest = variates.order, max(variates.order, MODEL_ORDERS[-1])
         more = own + 2, max(own + own // 2, variates.largest_order)
         orders = [own, *(min(n, largest) for n in more)] if model.n_inputs else _growing(own, model.order)
-        for order in [model.order] if order_given and not model.n_inputs else orders:
+        for order in [model.order] if order_given and not model.n_inputs else dict.fromkeys(orders):
             predictor = variates.predictor(order)
             made = made or predictor is not None
             yield predictor, variates.past
