@@ -8,11 +8,9 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ["MKL_NUM_THREADS"] = "1"
 
 import atexit
-import contextlib
 import gc
 import shutil
 import sys
-import sysconfig
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,27 +18,11 @@ from pathlib import Path
 import hypothesis
 import pytest
 
-
-def shared_bytecode() -> str:
-    """A new folder for bytecode that goes with this run, with links to that of Python and of what is installed."""
-    folder = tempfile.mkdtemp(prefix="bytecode-")
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    with contextlib.suppress(OSError):  # without links each worker compiles them once more
-        for root in {sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")}:
-            for place, below, names in os.walk(root):
-                below[:] = set(below) - {"site-packages", "test", "tests"}
-                if Path(place).name == "__pycache__":
-                    beside = Path(folder, *Path(place).parts[1:-1])
-                    beside.mkdir(parents=True, exist_ok=True)
-                    for name in names:
-                        (beside / name).symlink_to(Path(place, name))
-    return folder
-
-
 # where bytecode is not kept (containers often set this) each process that a test starts compiles us anew, which is half
-# of its time
+# of its time: they share a folder that goes with this run
 if os.environ.pop("PYTHONDONTWRITEBYTECODE", "") and "PYTHONPYCACHEPREFIX" not in os.environ:
-    os.environ["PYTHONPYCACHEPREFIX"] = shared_bytecode()
+    os.environ["PYTHONPYCACHEPREFIX"] = tempfile.mkdtemp(prefix="bytecode-")
+    atexit.register(shutil.rmtree, os.environ["PYTHONPYCACHEPREFIX"], ignore_errors=True)
 
 gc.disable()  # what is imported and collected stays: to look through it again and again is half the time that takes
 

@@ -273,7 +273,7 @@ def search(
     if semifinal != scouted:
         scout = _trials(ground, _best_observers(scout, SEMIFINALISTS), coarse, semifinal)
     finer = limits.model_orders
-    if model_order is None and records[0].n_inputs:  # what follows without inputs ends with the grid
+    if model_order is None and records[0].n_inputs:  # without inputs the innovation form has its own
         coarse, scout = _with_larger(ground, coarse, scout, semifinal)
         finer += tuple(n for n in FURTHER_ORDERS if n < coarse[-1])
     tried = _finals(ground, scout, coarse, every_fold)

@@ -77,7 +77,7 @@ HOPELESS = 1.5
 PATIENCE = 2
 """End after so many orders without gain, once refinement has paid or the order chosen without it is passed."""
 MOST_WEAK_MODES = 4
-"""Modes that are looked for in what the chosen model leaves."""
+"""Modes looked for in what the chosen model leaves; beyond the grid so many together must take more than `WITHIN`."""
 ROUNDS_BETWEEN = 3
 """Looks around the best order, more than one only while it is the smallest tried."""
 FEW = 8

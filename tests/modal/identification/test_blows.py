@@ -92,14 +92,14 @@ def test_errors_that_go_on_after_a_blow_are_not_put_apart(n_rows):
 def test_a_record_with_loud_sensors_is_no_blow():
     """Noise of all rows of one record, ten times that of others, is no noise of those in which it is struck."""
     apart = 0
-    for seed in range(8):
+    for seed in range(20):
         rng, truth = three_modes(seed, n_inputs=1)
         records, acting = struck(rng, truth, loud=0.0)
         records[0] = replace(
             records[0], outputs=records[0].outputs + 0.1 * rng.standard_normal(records[0].outputs.shape)
         )
         apart += bool(refined_model(records, exact(truth), MOST_STEPS, by="rows", acting=acting).data.measured)
-    assert apart <= 1
+    assert apart <= 2
 
 
 def test_feedthrough_is_as_sure_as_errors_of_blows_let_it_be():
@@ -139,7 +139,7 @@ def test_what_a_sensor_of_force_errs_by_is_told_with_what_follows(noise, own_noi
 def test_what_a_filter_rings_on_after_a_short_blow_is_of_the_blow():
     """It ends while the motion goes on, which what is not linear would follow; longer than the blow all the same."""
     found = []
-    for seed in range(3):
+    for seed in range(6):
         rng, truth = three_modes(seed, n_inputs=1)
         records, acting = struck(rng, truth, loud=2.0)
         for k, rows in enumerate(acting):
@@ -152,7 +152,7 @@ def test_what_a_filter_rings_on_after_a_short_blow_is_of_the_blow():
         found.append(bool(model.data.measured))
         assert not found[-1] or model.leaves_white_noise
         assert not found[-1] or max((~own[:, 0]).sum() for own in model.data.measured) < 60
-    assert sum(found) >= 2
+    assert sum(found) >= 5
 
 
 @pytest.mark.parametrize(("scatter", "wind"), [(0.0, 0.0), (0.05, 0.0), (0.0, 0.03)])

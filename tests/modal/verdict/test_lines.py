@@ -17,11 +17,9 @@ from modal.verdict.probability import LEAST_HEIGHT, peak_doubt
 from okid.record import Record
 
 
-def identified(family, seed, n_samples, *, observer_order, order, ridge=0.0):
-    """A record of the family, and its modes with the orders that a search takes about the same."""
-    made = FAMILIES[family](seed, n_samples=n_samples)
-    record = Record(made.inputs, made.outputs, made.dt)
-    return made, identify(record, observer_order=observer_order, ridge=ridge, order=order)
+def identified(family, seed, **changes):
+    made = FAMILIES[family](seed, **changes)
+    return made, identify(Record(made.inputs, made.outputs, made.dt))
 
 
 def called(made, result):
@@ -31,19 +29,19 @@ def called(made, result):
 
 
 def test_tones_make_no_mode():
-    _, result = identified("tones", 2, 3000, observer_order=46, ridge=3e-6, order=10)
+    _, result = identified("tones", 2, n_samples=3000)
     assert result.modes.system == ()
     assert any("hardly more than" in warning for warning in result.warnings)
 
 
 def test_what_rings_between_the_tones_is_a_mode():
-    made, result = identified("stepped_sine", 1, 4000, observer_order=22, order=6)
+    made, result = identified("stepped_sine", 1, n_samples=4000)
     assert called(made, result) == made.frequencies.size == len(result.modes.system)
 
 
 @pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_noise_as_large_as_the_motion_takes_no_mode_away(seed):
-    made, result = identified("low_fit", seed, 4000, observer_order=128, order=5)
+    made, result = identified("low_fit", seed, n_samples=4000)
     assert result.fit.mean < 0.5
     assert called(made, result) == made.frequencies.size == len(result.modes.system)
     assert "The modes hold all the same: each is judged by itself" in " ".join(result.warnings)
@@ -53,7 +51,7 @@ def test_noise_as_large_as_the_motion_takes_no_mode_away(seed):
 def test_noise_as_large_as_the_motion_takes_no_mode_away_where_no_input_was_measured():
     made = FAMILIES["ambient"](3, n_samples=5000)
     noise = np.random.default_rng(3).standard_normal(made.outputs.shape) * made.outputs.std(axis=0)
-    result = identify(Record([], made.outputs + noise, made.dt), observer_order=64, ridge=0.01, order=10)
+    result = identify(Record(made.inputs, made.outputs + noise, made.dt))
     assert result.fit.mean < 0.4
     assert called(made, result) >= made.frequencies.size - 1
     assert all(
@@ -63,7 +61,7 @@ def test_noise_as_large_as_the_motion_takes_no_mode_away_where_no_input_was_meas
 
 
 def test_very_light_damping_is_called():
-    made, result = identified("light_damping", 3, 2500, observer_order=64, order=6)
+    made, result = identified("light_damping", 3, n_samples=2500)
     assert called(made, result) == made.frequencies.size
 
 
@@ -251,7 +249,7 @@ def sweep_and_answer(seed, end):
 
 def test_a_mode_that_a_sweep_passes_at_its_end_is_one():
     """The record is over before a window that fades out sees its answer: it was doubtful, "may be chance"."""
-    result = identify(sweep_and_answer(3, 80.0), observer_order=6, ridge=3e-6, order=7)
+    result = identify(sweep_and_answer(3, 80.0))
     assert [round(mode.frequency, 1) for mode in result.modes.system] == [12.0, 40.0, 79.2]
 
 

@@ -107,7 +107,7 @@ def test_deviations_are_those_of_blocks_that_overlap(overlap, share):
     f, damping, shape, n = np.array([20.3]), np.array([0.003]), np.array([1.0, 0.6]), 256
     rng, found, stated = np.random.default_rng(3), [], []
     pole = np.exp(2 * np.pi * f * (-damping + 1j * np.sqrt(1 - damping**2)) / 100.0)
-    for _ in range(60):
+    for _ in range(120):
         force = rng.standard_normal((8192, 1))
         outputs = held_response(force, f, damping, np.tile(shape, 3)[:, np.newaxis], np.ones((1, 1)), dt=0.01)[:, :2]
         outputs = outputs + 0.02 * outputs.std(axis=0) * rng.standard_normal(outputs.shape)
@@ -122,7 +122,7 @@ def test_deviations_are_those_of_blocks_that_overlap(overlap, share):
         found.append([abs(s) / (2 * np.pi), -s.real / abs(s)])
         stated.append(np.ravel(pole_deviations(table, fit, noise_of(table, fit))))
     ratio = np.sqrt(np.mean(np.square(stated), axis=0)) / np.std(found, axis=0)
-    np.testing.assert_allclose(ratio, 1.0, atol=0.28)  # three standard errors of 60 draws
+    np.testing.assert_allclose(ratio, 1.0, atol=0.2)  # three standard errors of 120 draws
 
 
 def test_deviations_of_shapes_do_not_hold_the_weights_of_all_modes_at_once(driven, monkeypatch):
@@ -148,11 +148,11 @@ def test_blocks_that_overlap_almost_wholly_are_counted_on_a_grid(driven):
     """Each of 1000 blocks within the length of one cost as much as the first, and said nothing new."""
     table, fit, _ = driven
     stated = []
-    for overlap in (0.95, 0.9999):
+    for overlap in (0.95, 0.96, 0.9999):
         closer = replace(table, overlap=overlap)
         assert len(closer.shifts) < 64
         stated.append(pole_deviations(closer, fit, noise_of(closer, fit)))
-    np.testing.assert_allclose(stated[1], stated[0], rtol=1e-3)
+    np.testing.assert_allclose(stated[1:], [stated[0]] * 2, rtol=1e-3)
 
 
 def test_errors_of_hits_are_those_of_white_noise_that_the_exponential_window_weighs():
