@@ -55,7 +55,7 @@ from modal.preparation.kind import GivenKind, KindFound, acting_in, find_kind, g
 from modal.preparation.quick_model import left_alone_and_together
 from modal.preparation.rest import RELEASED, released
 from modal.preparation.steps import Preparation, prepare
-from modal.verdict.constancy import unsteady_drive, with_changes
+from modal.verdict.constancy import fading, unsteady_drive, with_changes
 from modal.verdict.envelope import told_of_lines_beside, told_of_steady_lines
 from modal.verdict.excitation import between_lines, beyond_inputs, by_chance, driven_gain, ringing
 from modal.verdict.filled import filled_words, seen_alone, told_where_measured
@@ -420,12 +420,14 @@ def _identified(
         rest = [one.outputs - simulate(model, one, initial_state=np.zeros(model.order)).outputs for one in prepared]
         asked_of_kind = told_of_lines_beside(modes, prepared, rest)
     if kind.kind in ("transient", "decay"):  # a sample that was filled by a linear model tells nothing of another
+        rings = seen_alone(prepared, preparation.measured)
         asked_of_kind = told_of_ring_down(
             modes,
-            seen_alone(prepared, preparation.measured),
+            rings,
             left,
             output_scale=reruns.output_scale,
             is_decay=kind.kind == "decay",
+            times=fading(model, rings, left),
         )
     modes = asked_of_kind.modes
     modes, uncertainty, varying = with_changes(

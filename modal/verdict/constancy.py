@@ -23,6 +23,11 @@ What a model leaves that is too small, or has no poles for the edge of a filter,
 high level alike, and T of the rows of one level follows it too. So what is linear in the inputs of the last samples is
 taken off e before; what a mode that changes leaves is no such answer, but for the mean of its changes.
 
+After blows nothing drives, and a linear structure moves freely, whatever they were: what is left beside free motion
+from a state of its own after each blow is noise, and noise does not know when a blow was. Where it is larger soon after
+blows than late, beyond what the last thirds scatter, something moves that is no sum of these modes, or they are not
+all. How long that lasts is not known: the first block, the first two, four, ... of all blows together are asked.
+
 What rings down and is not quite linear shows products of its modes, x_i x_j and x_i x_j x_k or their conjugates: these
 ring down as well, with the sums of the poles for poles (Rugh, Nonlinear System Theory, 1981, section 3.2). One record
 fits them as well as modes, and so does every part of it.
@@ -38,13 +43,20 @@ from itertools import combinations_with_replacement
 import numpy as np
 import scipy
 
+from era.realisation import Realisation
 from era.state_recursion import PoleRecursion
+from modal.estimation.fits import model_runs
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import ModalModel, Mode, Uncertainty
+from modal.preparation.amplitude import resolution_of
+from modal.preparation.channel import channels_of
+from modal.preparation.kind import acting_rows, widened
 from modal.verdict.probability import SPREAD
 from modal.wording.text import IN_TIME, NINETY_FIVE, WITH_LEVEL, hertz, percent
 from okid.arrays import TINY, BoolArray, FloatArray
 from okid.record import Record
+from okid.rows import runs_of
+from okid.scaling import channel_scaling
 
 N_BLOCKS, LEAST_BLOCKS = 60, 8
 """Cut all records together into at most so many blocks, and ask nothing of fewer: they do not tell their scatter."""
@@ -65,6 +77,17 @@ N_PARTS = 10
 UNSTEADY = 3.0
 """and say that what drives it is not steady where one has so many times the rms of another: wind and traffic stay
 within it, and chance does over a hundred samples."""
+
+PARTS_OF_BLOW = 6
+"""Cut what follows a blow into so many blocks at least, and ask nothing of shorter ones than"""
+LEAST_ROWS = 8
+"""so many rows."""
+FADES = 1e-4
+"""Say that what is left dies away after blows where chance makes as much of it less often,"""
+LARGER_SOON = 1.3
+"""and it is so many times as large soon after them as late."""
+DIGITS = 1e-4
+"""Take what is this share of the largest motion for rounding: values written with four digits err by as much."""
 
 LEAST_LEFT = 1e-6
 """Take what a line leaves of a block for nothing below this share: the block alone has drawn the line."""
@@ -355,6 +378,69 @@ def _sentences(told: Sequence[tuple[_Look, BoolArray]]) -> tuple[str, ...]:
             "friction, gaps and changing stiffness apart."
         )
     return tuple(sentences)
+
+
+def fading(model: Realisation, records: Sequence[Record], left: Sequence[FloatArray]) -> float:
+    """How many times as large soon after blows as late what is left beside free motion is; 1 where chance makes that.
+
+    Args:
+        model: that ran freely.
+        records: with blows, nan where a sample was not measured.
+        left: (n_samples, n_outputs) a record, by it.
+    """
+    after = []
+    for record, errors, acting in zip(records, left, acting_rows(records), strict=True):
+        strikes = widened(acting).any(axis=1)
+        there = np.where(np.isfinite(record.outputs), errors, np.nan)
+        quiet = ~strikes & (np.arange(strikes.size) >= strikes.argmax())
+        rows = [slice(*run) for run in runs_of(quiet)]
+        parts = [Record(np.zeros_like(record.inputs[own]), there[own], record.dt) for own in rows]
+        after += [part for part in parts if part.complete_rows().sum() > max(PARTS_OF_BLOW * LEAST_ROWS, model.order)]
+    if not after:
+        return 1.0
+    rest = [own[np.isfinite(own).all(axis=1)] for own in model_runs(model, after).left]
+    together = np.vstack(rest)
+    steps = [resolution_of(one) for one in channels_of(records, channel_scaling(records)) if one.role == "output"]
+    largest = np.nanmax([np.nanmax(np.abs(one.outputs), axis=0) for one in records], axis=0)
+    floor = np.square(np.nan_to_num(np.array(steps))) + np.square(DIGITS * largest)
+    power = np.maximum(np.square(together).mean(axis=0) + floor, TINY)
+    length = max(LEAST_ROWS, min(len(together) // N_BLOCKS, min(map(len, rest)) // PARTS_OF_BLOW))
+    blocks = []
+    for own in rest:
+        size = ((np.square(own) + floor) / power).mean(axis=1)
+        n = len(own) // length
+        blocks.append(np.log(size[: n * length].reshape(n, length).mean(axis=1)))
+    times, chance = _larger_first(blocks)
+    return times if chance < FADES and times > LARGER_SOON else 1.0
+
+
+def _larger_first(blocks: Sequence[FloatArray]) -> tuple[float, float]:
+    """How many times as large as in last thirds the first blocks are, and how often chance makes as much of it.
+
+    Args:
+        blocks: (n_blocks,) a series, logarithms of powers.
+    """
+    early, late = zip(*(np.split(own, [2 * len(own) // 3]) for own in blocks), strict=True)
+    scatter = [own - own.mean() for own in late]
+    n_late, squares = sum(map(len, late)), sum(float(own @ own) for own in scatter)
+    freedom = n_late - len(late)
+    if freedom < LEAST_BLOCKS or not squares:
+        return 1.0, 1.0
+    # a mean that is taken off makes neighbours look unlike by one over their number
+    alike = sum(float(own[1:] @ own[:-1]) for own in scatter) / squares + len(late) / n_late
+    alike = min(max(0.0, alike), ALIKE)
+    lasting = (1.0 + alike) / (1.0 - alike)
+    firsts = 2 ** np.arange(int(np.log2(max(map(len, early)))) + 1)
+    found = (1.0, 1.0)
+    for n_first in firsts.tolist():
+        first = [own[:n_first] for own in early]
+        weights = np.array([1.0 / (1.0 / len(one) + 1.0 / len(other)) for one, other in zip(first, late, strict=True)])
+        larger = [one.mean() - other.mean() for one, other in zip(first, late, strict=True)]
+        mean = float(np.average(larger, weights=weights))
+        t = mean / np.sqrt(squares / freedom * lasting / weights.sum())
+        chance = min(1.0, len(firsts) * float(scipy.special.stdtr(max(1.0, freedom / lasting), -t)))
+        found = min(found, (float(np.exp(0.5 * mean)), chance), key=lambda one: one[1])
+    return found
 
 
 def unsteady_drive(records: Sequence[Record], left: Sequence[FloatArray]) -> tuple[str, ...]:

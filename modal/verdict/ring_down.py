@@ -14,6 +14,9 @@ What still drives a mode while it rings down is noise of its own in each descrip
 Where no such oscillator is near either, the poles side by side are still not found again one by one. Whoever is found
 among them is no mode for that: modes that are certain are most of what rings down.
 
+What a linear model leaves may also say that it is none (`modal.verdict.constancy.fading`). Then poles side by side
+share one answer as they would at no other level: no mode is certain of whose answer another pole could take half.
+
 References:
     Den Hartog, Mechanical Vibrations, 4th ed., 1956, section 8.6; Feldman, Hilbert transform in vibration analysis,
     Mech. Syst. Signal Process. 25, 2011, https://doi.org/10.1016/j.ymssp.2010.07.018; Schwarz, Annals of Statistics 6,
@@ -27,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modal.modes.mode import Choice, ModalModel, Mode
+from modal.modes.shape_comparison import inner_products, pulses
 from modal.verdict.decay import Decay, directions, strongest_line
 from modal.verdict.judgement import FOUND_AGAIN, Answer, doubted
 from modal.verdict.oscillator import (
@@ -71,6 +75,9 @@ MANIFEST = 1.1
 """Tell how many times as closely it explains a decay above this."""
 CARRIED = 0.5
 """Ask that modes of the system carry this share of what rings, before one of them is certain."""
+HALF = 0.5
+"""Doubt a mode of whose pulse response another pole could take so much, where what is left dies away after blows."""
+HALF_OF_IT = "what the model leaves is not noise alone, and half of this answer may be"
 REST = "most of what rings down is described only by poles that were not found again"
 
 
@@ -161,6 +168,7 @@ def told_of_ring_down(
     *,
     output_scale: FloatArray,
     is_decay: bool,
+    times: float = 1.0,
 ) -> Answer:
     """Whether what rings down rings as modes do, and which of the modes that leaves certain.
 
@@ -170,10 +178,32 @@ def told_of_ring_down(
         left: (n_samples, n_outputs) a record, what the linear model with all its states leaves.
         output_scale: (n_outputs,) what the outputs are divided by.
         is_decay: whether nothing but the release ever drove them, so that modes have to carry them.
+        times: as large soon after each blow as late what it leaves is beside free motion (`constancy.fading`).
     """
     n_steps = max(record.n_samples for record in records)
     rest = is_decay and bool(modes.system) and carried(modes, n_steps=n_steps, output_scale=output_scale) < CARRIED
-    contest = contest_of(records, left, modes.modes, whole=rest)
+    answer = _told_by_contest(modes, contest_of(records, left, modes.modes, whole=rest), rest=rest)
+    if answer.choices or times == 1.0:
+        return answer
+    shared = _shared(answer.modes, n_steps=n_steps, output_scale=output_scale)
+    told = tuple(
+        mode if other is None else doubted(mode, f"{HALF_OF_IT} of the pole at {hertz(other.frequency)} Hz")
+        for mode, other in zip(answer.modes, shared, strict=True)
+    )
+    return replace(answer, modes=replace(answer.modes, modes=told), warnings=(*answer.warnings, _faded(times)))
+
+
+def _faded(times: float) -> str:
+    return (
+        f"What the model leaves dies away after each blow, as the motion does: soon after it is {times:.2g} times as "
+        "large as late, and steady noise is so by chance in less than one record of 10 000. Something is not linear or "
+        "changes in time, or modes are missing: modes and damping are an average at this level, and poles side by side "
+        "may be one mode; `modal-report gap` names the effect."
+    )
+
+
+def _told_by_contest(modes: ModalModel, contest: Contest | None, *, rest: bool) -> Answer:
+    """What the contest says of modes of which the rest may carry most."""
     if contest is None:
         return Answer(modes=modes)
     bent = contest.bent
@@ -192,6 +222,19 @@ def told_of_ring_down(
         warnings=(f"{said}: it may be no sum of modes, and none of them is certain.",),
         choices=(_no_modes(REST),),
     )
+
+
+def _shared(modes: ModalModel, *, n_steps: int, output_scale: FloatArray) -> list[Mode | None]:
+    """For each mode the other one that could take most of its pulse response at any phase, if that is half of it."""
+    turning = np.array([mode.kind == "oscillatory" for mode in modes], dtype=np.bool_)
+    own = pulses(modes.modes, dt=modes.dt, output_scale=output_scale)
+    turned = replace(own, outputs=1j * own.outputs)
+    products = np.hypot(*(inner_products(own, other, n_steps=n_steps) for other in (own, turned)))
+    products = np.nan_to_num(products) * turning
+    energy = np.diag(products).copy()
+    np.fill_diagonal(products, 0.0)
+    most = products.argmax(axis=1)
+    return [modes.modes[j] if products[i, j] > HALF * energy[i] else None for i, j in enumerate(most.tolist())]
 
 
 def _no_modes(reason: str) -> Choice:

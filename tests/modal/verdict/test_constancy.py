@@ -6,9 +6,10 @@ from hard_records import FAMILIES
 from scipy.signal import dlsim, lfilter
 from systems import random_system
 
+from era.realisation import Realisation
 from modal.identification.pipeline import identify
 from modal.modes.mode import ModalModel, Mode, Uncertainty
-from modal.verdict.constancy import unsteady_drive, with_changes
+from modal.verdict.constancy import fading, unsteady_drive, with_changes
 from okid.record import Record
 
 DT = 0.01
@@ -186,3 +187,61 @@ def test_an_event_without_its_input_is_said():
     assert "not steady" in unsteady_drive([record], [np.diff(event, axis=0)])[0]
     assert unsteady_drive([record], [np.diff(steady, axis=0)]) == ()
     assert unsteady_drive([Record(event[:, 0], event, 0.01)], [event]) == ()
+
+
+def struck(n_blows, *, rows=3000, seed=0, level=0.1):
+    """A model of one mode, its struck records of two outputs, and white noise of each (n_samples, 2)."""
+    pole = np.exp(one_mode(2.0, 0.01)[0].modes[0].pole * DT)
+    turn = np.array([[pole.real, -pole.imag], [pole.imag, pole.real]])
+    model = Realisation(turn, [[1.0], [0.0]], [[1.0, 0.2], [0.5, -0.1]], [[0.0], [0.0]], DT)
+    blow = np.zeros(rows)
+    blow[:: rows // n_blows] = 1.0
+    noise = level * np.random.default_rng(seed).standard_normal((rows, 2))
+    return model, Record(blow, noise + dlsim((model.A, model.B, model.C, model.D, DT), blow)[1], DT), noise
+
+
+def decaying(record, frequency, damping_ratio):
+    """(n_samples, 2) another free motion after each blow."""
+    return np.outer(answer(one_mode(frequency, damping_ratio)[0], record.inputs[:, 0]), [1.0, -0.4])
+
+
+@pytest.mark.parametrize("n_blows", [1, 3])
+@pytest.mark.parametrize(("frequency", "damping_ratio"), [(2.1, 0.02), (7.0, 0.01)])
+def test_what_is_left_and_dies_away_after_blows_is_told(n_blows, frequency, damping_ratio):
+    """A second pole beside the mode, as what is not linear makes; or a mode that the model has not."""
+    model, record, noise = struck(n_blows)
+    left = noise + 0.2 * decaying(record, frequency, damping_ratio)
+    assert fading(model, [record], [left]) > 1.3
+
+
+@pytest.mark.parametrize("n_blows", [1, 3])
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_and_forces_that_no_sensor_showed_do_not_die_away(n_blows, seed):
+    """White noise; free motion of the mode itself after each blow besides; noise that doubles now and then."""
+    model, record, noise = struck(n_blows, seed=seed)
+    assert fading(model, [record], [noise]) == 1.0
+    late = np.roll(record.inputs[:, 0], 1)
+    unseen = 0.5 * dlsim((model.A, model.B, model.C, model.D, DT), late)[1]
+    assert fading(model, [record], [noise + unseen]) == 1.0
+    gusts = 1.0 + (np.sin(2 * np.pi * (np.arange(len(noise)) / 700 + 0.37 * seed)) > 0)
+    assert fading(model, [record], [noise * gusts[:, None]]) == 1.0
+
+
+def test_rounding_does_not_die_away():
+    """Of an analogue-to-digital converter, which shows nothing below its step, and of values with four digits."""
+    model, record, noise = struck(1, level=1e-9)
+    true = record.outputs - noise
+    levels = 0.05 * np.round(true / 0.05)
+    size = 10.0 ** (np.floor(np.log10(np.abs(true) + 1e-12)) - 3)
+    for written in (levels, size * np.round(true / size)):
+        assert fading(model, [Record(record.inputs, written, DT)], [written - true]) == 1.0
+
+
+def test_missing_samples_tell_nothing_of_what_is_left():
+    model, record, noise = struck(3)
+    left = noise + 0.2 * decaying(record, 2.1, 0.02)
+    gap = record.outputs.copy()
+    gap[500:700, 1] = np.nan
+    assert fading(model, [Record(record.inputs, gap, DT)], [np.where(np.isnan(gap), 1e9, left)]) == pytest.approx(
+        fading(model, [record], [left]), rel=0.2
+    )

@@ -279,6 +279,29 @@ def swing(angle, n_samples):
     return solve_ivp(slope, (0.0, times[-1]), [angle, 0.0], t_eval=times, rtol=1e-9, atol=1e-11).y[0]
 
 
+@pytest.mark.parametrize(
+    ("frequency", "size", "shape", "certain"),
+    [
+        (5.1, 0.8, (1.0, 0.5), False),  # side by side, and alike
+        (5.1, 0.8, (0.5, -1.0), True),  # of another shape
+        (5.1, 0.1, (1.0, 0.5), True),  # too weak to take half of it
+        (7.0, 2.0, (1.0, 0.5), True),  # far away
+    ],
+)
+def test_poles_side_by_side_are_not_certain_where_what_is_left_dies_away(frequency, size, shape, certain):
+    """What is left shows that no sum of modes rings: what pole has which part of one answer is chance."""
+    modes = modes_of((5.0, 1.0, "system"), (frequency, size, "noise"))
+    modes = replace(modes, modes=(modes.modes[0], replace(modes.modes[1], shape=np.array(shape, dtype=complex))))
+    record = okid.Record(np.eye(4000, 1), np.zeros((4000, 2)), DT)
+    left = [np.ones((4000, 2))]
+    as_it_was = told_of_ring_down(modes, [record], left, output_scale=np.ones(2), is_decay=False)
+    assert (as_it_was.modes, as_it_was.warnings) == (modes, ())
+    found = told_of_ring_down(modes, [record], left, output_scale=np.ones(2), is_decay=False, times=2.5)
+    assert "dies away after each blow" in found.warnings[0]
+    assert "2.5 times as large" in found.warnings[0]
+    assert [mode.verdict for mode in found.modes] == ["system" if certain else "doubtful", "noise"]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("angle", [1.6, 1.8, 2.0])
 def test_the_frequency_of_a_pendulum_is_told_at_its_level(angle):
