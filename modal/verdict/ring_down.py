@@ -225,7 +225,11 @@ def _told_by_contest(modes: ModalModel, contest: Contest | None, *, rest: bool) 
 
 
 def _shared(modes: ModalModel, *, n_steps: int, output_scale: FloatArray) -> list[Mode | None]:
-    """For each mode the other one that could take most of its pulse response at any phase, if that is half of it."""
+    """For each mode the other one that could take most of its pulse response, if that is half of its energy.
+
+    Of h, with p = |<h, g>| at the best phase, an answer g no larger than it is takes p^2 / |g|^2 where it need not be
+    larger, p <= |g|^2, else 2 p - |g|^2.
+    """
     turning = np.array([mode.kind == "oscillatory" for mode in modes], dtype=np.bool_)
     own = pulses(modes.modes, dt=modes.dt, output_scale=output_scale)
     turned = replace(own, outputs=1j * own.outputs)
@@ -233,8 +237,9 @@ def _shared(modes: ModalModel, *, n_steps: int, output_scale: FloatArray) -> lis
     products = np.nan_to_num(products) * turning
     energy = np.diag(products).copy()
     np.fill_diagonal(products, 0.0)
-    most = products.argmax(axis=1)
-    return [modes.modes[j] if products[i, j] > HALF * energy[i] else None for i, j in enumerate(most.tolist())]
+    taken = np.where(products > energy, 2.0 * products - energy, products**2 / np.maximum(energy, TINY))
+    most = taken.argmax(axis=1)
+    return [modes.modes[j] if taken[i, j] > HALF * energy[i] else None for i, j in enumerate(most.tolist())]
 
 
 def _no_modes(reason: str) -> Choice:

@@ -22,6 +22,8 @@ from okid.record import Record
 sys.path.append(str(Path(__file__).parents[1] / "reference"))
 from field_records import KINDS, KindRecords, random_records
 
+FADES = "dies away after each blow"
+"""Untrue where no mode is missing."""
 UNTRUE = {
     "transient": (
         "never moves",
@@ -123,7 +125,9 @@ def score_one(score: Score, truth: KindRecords, *, show: bool, **options) -> Non
         *(m.reason for m in result.modes if m.verdict != "noise"),
         *(c.value for c in result.choices),
     ]
-    untrue = [words for words in sentences if any(one in words for one in UNTRUE[truth.kind])]
+    missing = any(e and not one for one, e in zip(found, truth.excitable, strict=True))
+    never = (*UNTRUE[truth.kind], *(() if missing else (FADES,)))
+    untrue = [words for words in sentences if any(one in words for one in never)]
     score.false += len(false)
     score.untrue += len(untrue)
     if show:

@@ -282,10 +282,11 @@ def swing(angle, n_samples):
 @pytest.mark.parametrize(
     ("frequency", "size", "shape", "certain"),
     [
-        (5.1, 0.8, (1.0, 0.5), False),  # side by side, and alike
-        (5.1, 0.8, (0.5, -1.0), True),  # of another shape
-        (5.1, 0.1, (1.0, 0.5), True),  # too weak to take half of it
-        (7.0, 2.0, (1.0, 0.5), True),  # far away
+        (5.06, 0.8, (1.0, 0.5), False),  # side by side, and alike
+        (5.06, 0.8j, (1.0, 0.5), False),  # at whatever phase
+        (5.06, 0.8, (0.5, -1.0), True),  # of another shape
+        (5.06, 0.1, (1.0, 0.5), True),  # too weak to take half of it
+        (7.0, 50.0, (1.0, 0.5), True),  # far away, however strong
     ],
 )
 def test_poles_side_by_side_are_not_certain_where_what_is_left_dies_away(frequency, size, shape, certain):
