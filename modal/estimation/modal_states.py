@@ -20,6 +20,7 @@ from era.state_recursion import PoleRecursion
 from modal.estimation.free_run import powers_of
 from okid.arrays import BoolArray, ComplexArray, FloatArray
 from okid.record import Record
+from okid.scaling import ROUNDING
 
 PARTS = 10
 """Parts of all records whose sums are kept apart where rows take turns, at least one a record."""
@@ -29,8 +30,8 @@ CHUNK = 2048
 """Hold so many rows of signals at a time: the fewer turns the quicker while they stay in cache, as of 30 poles."""
 NONE = -2
 """Hold no block out: none has this label."""
-DIED_OUT = 1e-100
-"""Free responses below this are set to zero: their squares would be too small for a normal number, and so slow."""
+DIED_OUT = ROUNDING**2
+"""Free responses below this are set to zero: even their products with what does not die out are rounding."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -251,30 +252,30 @@ def signals_of(
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Driven:
-    """The model driven by one record, its poles by rising angle.
+    """The model driven by one record.
 
-    Its signals stand in an order of their own: each pole's sensitivities together, real parts before imaginary ones,
-    so that those of neighbouring poles are; then what else they are multiplied by, and last the states.
+    Its signals stand in an order of their own: sensitivities to initial states, to participations, to the poles, real
+    parts of all poles before imaginary ones; then what else they are multiplied by, and last the states.
 
     Attributes:
         layout: of the signals of this record.
-        order: (n_poles,) of its poles among those of the parameters.
         poles: (n_poles,).
         participations: (n_poles, n_inputs) of its own inputs.
         start: (n_poles,) initial states.
         partners: (n_inputs + 1 + n_outputs, n_samples) inputs, those that act at once last, one, and outputs.
         recursion: of the poles, over a chunk.
         powers: (n_rows, n_poles) of the poles, over a chunk.
+        alive: (n_poles,) rows before what rings down from a start has died out: none where a record begins at rest.
     """
 
     layout: SignalLayout
-    order: IndexArray
     poles: ComplexArray
     participations: ComplexArray
     start: ComplexArray
     partners: FloatArray
     recursion: PoleRecursion
     powers: ComplexArray
+    alive: FloatArray
 
     @classmethod
     def of(
@@ -287,86 +288,98 @@ class Driven:
         beside: "Driven | None" = None,
     ) -> "Driven":
         """By the inputs whose signals it has; what its poles do is known of the one beside if that is as long."""
-        own, order = layout.inputs_of(index), np.argsort(np.angle(parameters.poles))
-        poles, longest = parameters.poles[order], min(record.n_samples, CHUNK)
+        own, poles, longest = layout.inputs_of(index), parameters.poles, min(record.n_samples, CHUNK)
         if beside is None or len(beside.powers) < longest:
             recursion, powers = PoleRecursion.of(poles, longest), powers_of(poles, longest)
         else:
             recursion, powers = beside.recursion, beside.powers
         inputs = record.inputs[:, np.roll(own, -layout.alone.n_direct)].T
+        start = parameters.states[index]
+        with np.errstate(divide="ignore"):
+            alive = 1.0 + np.floor(np.log(DIED_OUT) / np.log(np.abs(poles)))
         return cls(
             layout=layout.alone,
-            order=order,
             poles=poles,
-            participations=parameters.inputs[np.ix_(order, own)],
-            start=parameters.states[index, order],
+            participations=parameters.inputs[:, own],
+            start=start,
             partners=np.vstack([inputs, np.ones((1, record.n_samples)), record.outputs.T]),
             recursion=recursion,
             powers=powers,
+            alive=alive if start.any() else np.zeros(poles.size),
         )
 
     @property
     def n_families(self) -> int:
-        """Real signals of the sensitivities of a pole."""
-        return 2 * (2 + self.layout.n_inputs)
+        """Sensitivities of a pole."""
+        return 2 + self.layout.n_inputs
+
+    @property
+    def others(self) -> slice:
+        """What the sensitivities are multiplied by."""
+        first = 2 * self.n_families * self.poles.size
+        return slice(first, first + len(self.partners))
 
     @property
     def known(self) -> slice:
         """Inputs that act at once, one, outputs and states."""
-        return slice(self.n_families * self.order.size + self.layout.n_inputs - self.layout.n_direct, None)
+        return slice(self.others.start + self.layout.n_inputs - self.layout.n_direct, None)
 
     @property
     def n_signals(self) -> int:
         """Real ones."""
-        return (self.n_families + 2) * self.order.size + len(self.partners)
+        return self.others.stop + 2 * self.poles.size
+
+    def n_over(self, first: int) -> int:
+        """Signals, the first ones, that are zero from a row on."""
+        return 0 if first < self.alive.max(initial=0.0) else 2 * self.poles.size
 
     @property
     def places(self) -> IndexArray:
         """(layout.size,) where the signals of the layout stand."""
-        layout, n, back = self.layout, self.order.size, np.argsort(self.order)
-        states = self.n_signals - 2 * n + np.concatenate([back, n + back])
-        sensitivities = (back * self.n_families + np.arange(self.n_families)[:, np.newaxis]).ravel()
+        layout, n, at = self.layout, self.poles.size, self.n_families
+        rows = np.arange(2 * at * n).reshape(at, 2, n)[[-1, *range(1, at - 1), 0]]
         known = self.known.start + np.arange(layout.n_direct + 1 + layout.n_outputs)
+        states, sensitivities = self.others.stop + np.arange(2 * n), rows.swapaxes(0, 1).ravel()
         return np.concatenate([states, known[: layout.n_direct + 1], sensitivities, known[layout.n_direct + 1 :]])
 
     def signals(self) -> Iterator[tuple[int, FloatArray, ComplexArray]]:
         """Chunk by chunk the first row, (n_signals, n_rows) signals, and the sensitivities after the last row.
 
-        These are (n_poles, 2 + n_inputs): to the pole, to participations, to initial states. A chunk is overwritten by
+        These are (2 + n_inputs, n_poles): to initial states, to participations, to the poles. A chunk is overwritten by
         the next one.
         """
         poles, n, m, n_samples = self.poles, self.poles.size, self.layout.n_inputs, self.partners.shape[1]
         longest, recursion, powers = min(n_samples, CHUNK), self.recursion, self.powers
-        with np.errstate(divide="ignore"):
-            alive = 1.0 + np.floor(np.log(DIED_OUT) / np.log(np.abs(poles)))
         inputs = np.roll(self.partners[:m], self.layout.n_direct, axis=0)[:, np.newaxis]
         memory = np.zeros((2 + m, n), dtype=np.complex128)
-        memory[-1] = 1.0
+        memory[0] = self.alive > 0.0
         # the state, and poles times it, imaginary part first, which drives what is sensitive to them
-        drives = np.vstack([self.participations.T, self.start])
+        drives = np.vstack([self.start, self.participations.T])
         times = np.stack([drives.real, drives.imag, (poles * drives).imag, (poles * drives).real], axis=1).T
         turned = np.stack([-drives.imag, drives.real, (poles * drives).real, -(poles * drives).imag], axis=1).T
-        whole, both = np.empty((self.n_signals, longest)), np.empty((2, n, 4, longest))
+        whole, both = np.zeros((self.n_signals, longest)), np.empty((2, n, 4, longest))
         for first in range(0, n_samples, longest):
             n_rows = min(longest, n_samples - first)
             signals = whole[:, :n_rows]
-            s = signals[: self.n_families * n].reshape(n, 2, 2 + m, n_rows)
-            free = (powers[:n_rows] * memory[-1]).T
-            for response, n_alive in zip(free, alive - first, strict=True):
-                if n_alive < n_rows:
-                    response[max(0, int(n_alive)) :] = 0.0
-            s[:, 0, -1], s[:, 1, -1] = free.real, free.imag
+            s = signals[: self.others.start].reshape(2 + m, 2, n, n_rows).transpose(2, 1, 0, 3)
+            if not self.n_over(first - longest):  # else set to zero in the last chunk
+                free = (powers[:n_rows] * memory[0]).T
+                for response, n_alive in zip(free, self.alive - first, strict=True):
+                    if n_alive < n_rows:
+                        response[max(0, int(n_alive)) :] = 0.0
+                s[:, 0, 0], s[:, 1, 0] = free.real, free.imag
             for j in range(m):
                 memory[1 + j] = recursion.fill(s[:, :, 1 + j], inputs[[j], :, first : first + n_rows], memory[1 + j])
+            acting = slice(1 if self.n_over(first) else 0, 1 + m)
             state, other = both[..., :n_rows]
-            np.matmul(times, s[:, 0, 1:], out=state)
-            np.matmul(turned, s[:, 1, 1:], out=other)
+            np.matmul(times[:, :, acting], s[:, 0, acting], out=state)
+            np.matmul(turned[:, :, acting], s[:, 1, acting], out=other)
             state += other
-            memory[0] = recursion.fill(s[:, :, 0], state[:, 2:], memory[0])
-            signals[self.n_signals - 2 * n :].reshape(2, n, n_rows)[:] = state[:, :2].swapaxes(0, 1)
-            signals[self.n_families * n : self.n_signals - 2 * n] = self.partners[:, first : first + n_rows]
-            memory[-1] *= powers[n_rows - 1] * poles
-            yield first, signals, memory.T.copy()
+            memory[-1] = recursion.fill(s[:, :, -1], state[:, 2:], memory[-1])
+            signals[self.others.stop :].reshape(2, n, n_rows)[:] = state[:, :2].swapaxes(0, 1)
+            signals[self.others] = self.partners[:, first : first + n_rows]
+            memory[0] *= powers[n_rows - 1] * poles
+            yield first, signals, memory.copy()
 
 
 def blocks_of_answers(

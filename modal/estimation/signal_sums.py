@@ -80,14 +80,22 @@ def signal_grams_over(
                 total.add(start, signals, after)
         places = layout.places(r)
         for whole, total in zip(wholes, totals, strict=True):
-            whole[np.ix_(places, places)] += total.all_products()
+            whole[_all_of(places, layout.size)] += total.all_products()
     at = driven.places[np.r_[layout.alone.regressors, layout.alone.outputs]] - driven.known.start
     return layout, [(whole, part[:, at[:, np.newaxis], at]) for whole, part in zip(wholes, parts, strict=True)]
+
+
+def _all_of(places: IndexArray, size: int) -> tuple[slice, slice] | tuple[IndexArray, ...]:
+    """Of a matrix of that size the rows and columns at some places; all of them without a copy."""
+    return (slice(None), slice(None)) if places.size == size else np.ix_(places, places)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class _Total:
     """Products of all signals over the rows of a record that count and train, added up.
+
+    States are sums of sensitivities, x = sum over j of b_j dx/db_j + x0 dx/dx0, so their products are not summed up but
+    for those with what is known.
 
     Attributes:
         driven: the record's model.
@@ -96,7 +104,7 @@ class _Total:
         counted: (n_samples,) those of them that train.
         runs: of `counted`, first row and one past the last.
         blocks: and the products of what is known of each, over its rows that count.
-        gram: (n_signals, n_signals) in the order of `driven`.
+        gram: (n, n) of all but the states in the order of `driven`; empty where there are `sums`.
         sums: in its place, where products follow from each other.
         held_out: the label of blocks that do not train.
     """
@@ -119,7 +127,9 @@ class _Total:
             if block.label != held_out:
                 counted[block.rows] = rows[block.rows]
         runs = runs_of(counted)
-        many = driven.known.start >= FEWEST_SIGNALS and counted.sum() >= FEWEST_ROWS * len(runs)
+        many = driven.others.start >= FEWEST_SIGNALS and counted.sum() >= FEWEST_ROWS * len(runs)
+        follow = many and 2 * (near := _near(driven.poles)).sum() < near.size
+        size = 0 if follow else driven.others.stop
         return cls(
             driven=driven,
             rows=rows,
@@ -127,8 +137,8 @@ class _Total:
             counted=counted,
             runs=runs,
             blocks=blocks,
-            gram=np.zeros((driven.n_signals, driven.n_signals)),
-            sums=_Sums.of(driven, near, runs) if many and 2 * (near := _near(driven.poles)).sum() < near.size else None,
+            gram=np.zeros((size, size)),
+            sums=_Sums.of(driven, near, runs) if follow else None,
             held_out=held_out,
         )
 
@@ -143,27 +153,40 @@ class _Total:
                 own = own if self.all_count else own[:, self.rows[first : last : block.step]]
                 own = np.ascontiguousarray(own) if block.step > 1 else own  # BLAS takes no steps within a signal
                 total += own @ own.T  # noqa: PLW2901
+        over = self.driven.n_over(start)
+        moving = signals[over : self.driven.others.stop]
         if len(self.runs) <= len(self.blocks):
             pieces = [
                 (max(start, first), min(stop, last)) for first, last in self.runs if first < stop and last > start
             ]
-            chosen = [signals[:, first - start : last - start] for first, last in pieces]
+            chosen = [moving[:, first - start : last - start] for first, last in pieces]
         else:  # rows are missing or take turns, and are copied together
-            chosen = [signals[:, self.counted[start:stop]]]
+            chosen = [np.compress(self.counted[start:stop], moving, axis=1)]
         for one in chosen:
             if self.sums is None:
-                self.gram[:] += one @ one.T
+                self.gram[over:, over:] += one @ one.T
             else:
-                self.sums.add(one)
+                self.sums.add(one, over)
         if self.sums is not None:
             self.sums.end(start, signals, after)
 
     def all_products(self) -> FloatArray:
         """(size, size) in the order of the layout."""
-        gram = self.gram
+        driven, n, stop = self.driven, self.driven.poles.size, self.driven.others.stop
+        known = np.zeros(2 * (driven.n_signals - driven.known.start,))
+        for block, own in self.blocks:
+            if block.label != self.held_out:
+                known += own
         if self.sums is not None:
-            gram = self.sums.gram(np.sum([own for block, own in self.blocks if block.label != self.held_out], axis=0))
-        return gram[np.ix_(self.driven.places, self.driven.places)]
+            return self.sums.gram(known)
+        moving = self.gram[:, : driven.others.start].reshape(stop, driven.n_families, 2, n)[:, :-1]
+        by = np.vstack([driven.start, driven.participations.T])
+        states = np.einsum("sfn,fn->sn", moving[:, :, 0] + 1j * moving[:, :, 1], by)
+        gram = np.empty((driven.n_signals, driven.n_signals))
+        gram[:stop, :stop], gram[:stop, stop:] = self.gram, np.hstack([states.real, states.imag])
+        gram[stop:, :stop] = gram[:stop, stop:].T
+        gram[driven.known, driven.known] = known
+        return gram[np.ix_(driven.places, driven.places)]
 
 
 def _near(poles: ComplexArray) -> BoolArray:
@@ -185,18 +208,16 @@ class _Sums:
 
     Attributes:
         driven: the record's model.
-        near: (n_poles, n_poles) which two hardly die out in their product.
-        reach: (n_poles,) one past the last that is near to each, zero where none is.
+        near: (2, n_near) first and second pole of pairs that hardly die out, the first no later than the second.
         runs: first row and one past the last.
         partners: (n_sensitivities, n_partners) sums of real signals with their partners, added up.
         squares: (n_inputs, n_inputs) products of the inputs.
         ends: (2, n_runs, 2 + n_inputs, n_poles) sensitivities at the first row of a run, and after its last.
-        direct: (n_sensitivities, n_sensitivities) of real signals, where near.
+        direct: (n_near, 2 n_families, 2 n_families) of real signals, where near.
     """
 
     driven: Driven
-    near: BoolArray
-    reach: IndexArray
+    near: IndexArray
     runs: Sequence[tuple[int, int]]
     partners: FloatArray
     squares: FloatArray
@@ -206,72 +227,82 @@ class _Sums:
     @classmethod
     def of(cls, driven: Driven, near: BoolArray, runs: Sequence[tuple[int, int]]) -> "_Sums":
         """Nothing added up yet."""
-        n, m = driven.poles.size, driven.layout.n_inputs
-        size = n * driven.n_families
+        n, m, n_own = driven.poles.size, driven.layout.n_inputs, 2 * driven.n_families
+        pairs = np.array(np.nonzero(np.triu(near)))
         return cls(
             driven=driven,
-            near=near,
-            reach=np.where(near.any(axis=1), n - near[:, ::-1].argmax(axis=1), 0),
+            near=pairs,
             runs=runs,
-            partners=np.zeros((size, len(driven.partners))),
+            partners=np.zeros((n_own * n, len(driven.partners))),
             squares=np.zeros((m, m)),
             ends=np.zeros((2, len(runs), 2 + m, n), dtype=np.complex128),
-            direct=np.zeros((size, size)),
+            direct=np.zeros((pairs.shape[1], n_own, n_own)),
         )
 
-    def add(self, signals: FloatArray) -> None:
-        """Rows that train."""
-        families, own = self.driven.n_families, slice(0, len(self.direct))
-        partners = signals[own.stop : own.stop + self.partners.shape[1]]
-        self.partners[:] += signals[own] @ partners.T
+    def add(self, signals: FloatArray, over: int) -> None:
+        """Rows that train, of all signals but the first ones, which are zero."""
+        n, size = self.driven.poles.size, len(self.partners) - over
+        own, partners = signals[:size], signals[size:]
+        self.partners[over:] += own @ partners.T
         self.squares[:] += partners[: len(self.squares)] @ partners[: len(self.squares)].T
-        for i, reach in enumerate(self.reach.tolist()):
-            one, others = slice(i * families, (i + 1) * families), slice(i * families, reach * families)
-            self.direct[one, others] += signals[one] @ signals[others].T
+        alive = self.direct[:, over // n :, over // n :]
+        for total, i, j in zip(alive, *self.near.tolist(), strict=True):
+            total += own[i::n] @ own[j::n].T  # noqa: PLW2901
 
     def end(self, start: int, signals: FloatArray, after: ComplexArray) -> None:
         """What is at the ends of runs that lie in a chunk."""
         stop, n = start + signals.shape[1], self.driven.poles.size
 
         def at(row: int) -> ComplexArray:
-            s = signals[: len(self.direct), row - start].reshape(n, 2, -1)
-            return np.asarray((s[:, 0] + 1j * s[:, 1]).T)
+            s = signals[: len(self.partners), row - start].reshape(-1, 2, n)
+            return np.asarray(s[:, 0] + 1j * s[:, 1])
 
         for i, (first, last) in enumerate(self.runs):
             if start <= first < stop:
                 self.ends[0, i] = at(first)
             if start < last <= stop:
-                self.ends[1, i] = after.T if last == stop else at(last)
+                self.ends[1, i] = after if last == stop else at(last)
 
     def gram(self, known: FloatArray) -> FloatArray:
-        """(n_signals, n_signals) all products; of what is known with each other those given."""
-        driven, n, m, size = self.driven, self.driven.poles.size, len(self.squares), len(self.direct)
-        into = np.roll(np.arange(m), driven.layout.n_direct)  # as in the layout, those that act at once first
-        partners = self.partners.reshape(n, 2, 2 + m, -1).transpose(1, 2, 0, 3)
-        direct = (np.triu(self.direct) + np.triu(self.direct, 1).T).reshape(n, 2, 2 + m, n, 2, 2 + m)
-        rr, ri, ir, ii = (
-            direct[:, i, :, :, j].transpose(1, 0, 3, 2).reshape((2 + m) * n, -1) for i in (0, 1) for j in (0, 1)
-        )
+        """(size, size) all products in the order of the layout; of what is known with each other those given."""
+        driven, layout, n, m = self.driven, self.driven.layout, self.driven.poles.size, len(self.squares)
+        size, into = (2 + m) * n, np.roll(np.arange(m), layout.n_direct)  # as in the layout: those at once first
+        order = np.array([1 + m, *range(1, 1 + m), 0])  # families of the layout
+        partners = self.partners.reshape(2 + m, 2, n, -1)[order].swapaxes(0, 1)
+        d = self.direct.reshape(-1, 2 + m, 2, 2 + m, 2)[:, order][:, :, :, order]
         products_of = partial(
             _products,
             driven.poles,
             np.vstack([driven.participations.T, driven.start]),
             sums=(partners[0] + 1j * partners[1])[:, :, into],
-            ends=self.ends,
+            ends=self.ends[:, :, order],
             squares=self.squares[np.ix_(into, into)],
             near=self.near,
         )
-        turned = products_of(direct=(rr + ii) + 1j * (ir - ri), turn=np.conjugate)
-        plain = products_of(direct=(rr - ii) + 1j * (ir + ri), turn=np.positive)
-        upper, lower = 0.5 * (turned + plain), 0.5 * (turned - plain)
+        same, crossed = d[:, :, 0, :, 0] + 1j * d[:, :, 1, :, 0], d[:, :, 1, :, 1] - 1j * d[:, :, 0, :, 1]
+        upper = products_of(direct=same + crossed, turn=np.conjugate)
+        plain = products_of(direct=same - crossed, turn=np.positive)
+        upper += plain
+        upper *= 0.5
+        lower = upper - plain
         # rows: real, imaginary; columns: of states and of sensitivities, real, imaginary
-        found = np.array([[upper.real, -lower.imag], [upper.imag, lower.real]])
-        own = found[..., n:].reshape(2, 2, 2 + m, n, 2 + m, n).transpose(3, 0, 2, 5, 1, 4).reshape(size, size)
-        states = found[..., :n].reshape(2, 2, 2 + m, n, n).transpose(3, 0, 2, 1, 4).reshape(size, 2 * n)
-        gram = np.zeros((driven.n_signals, driven.n_signals))
-        gram[:size, :size], gram[:size, size : -2 * n], gram[:size, -2 * n :] = own, self.partners, states
-        gram[size:, :size] = gram[:size, size:].T
-        gram[driven.known, driven.known] = known
+        gram = np.empty((layout.size, layout.size))
+        for rows, real, imaginary, sign in (
+            (layout.real, upper.real, lower.imag, -1.0),
+            (layout.imaginary, upper.imag, lower.real, 1.0),
+        ):
+            gram[rows, :n], gram[rows, layout.real] = real[:, :n], real[:, n:]
+            np.multiply(imaginary[:, :n], sign, out=gram[rows, n : 2 * n])
+            np.multiply(imaginary[:, n:], sign, out=gram[rows, layout.imaginary])
+        both = slice(layout.real.start, layout.imaginary.stop)
+        with_known = partners.reshape(2 * size, -1)[:, m - layout.n_direct :]
+        gram[both, 2 * n : layout.n_regressors] = with_known[:, : layout.n_direct + 1]
+        gram[both, layout.outputs] = with_known[:, layout.n_direct + 1 :]
+        for rest in (layout.regressors, layout.outputs):
+            gram[rest, both] = gram[both, rest].T
+        here = np.r_[layout.regressors, layout.outputs]
+        at = driven.places[here] - driven.known.start
+        gram[np.ix_(here, here)] = known[np.ix_(at, at)]
         return gram
 
 
@@ -283,7 +314,7 @@ def _products(
     ends: ComplexArray,
     squares: FloatArray,
     direct: ComplexArray,
-    near: BoolArray,
+    near: IndexArray,
     turn: Callable[[ComplexArray], ComplexArray],
 ) -> ComplexArray:
     """(n_sensitivities, n_poles + n_sensitivities) products of sensitivities with states and with sensitivities.
@@ -294,13 +325,16 @@ def _products(
         sums: (2 + n_inputs, n_poles, n_inputs) products of sensitivities with inputs.
         ends: (2, n_runs, 2 + n_inputs, n_poles) sensitivities at the first row of each run, and after its last.
         squares: (n_inputs, n_inputs) products of the inputs.
-        direct: (n_sensitivities, n_sensitivities) products of sensitivities, where they are summed up.
-        near: (n_poles, n_poles) where they are.
+        direct: (n_near, 2 + n_inputs, 2 + n_inputs) products of sensitivities to two poles that are summed up.
+        near: (2, n_near) which.
         turn: of the second factor: its conjugate or itself.
     """
     m, n = squares.shape[0], poles.size
     other, both_poles = turn(poles), np.multiply.outer(poles, turn(poles))
-    left, direct = np.where(near, 1.0, 1.0 - both_poles), direct.reshape(2 + m, n, 2 + m, n)
+    first, second = np.hstack([near, near[::-1]])
+    direct = np.concatenate([direct, turn(direct).swapaxes(1, 2)])
+    left = 1.0 - both_poles
+    left[first, second] = 1.0
     sums = np.pad(sums, ((0, 0), (0, 0), (0, 1)))  # nothing drives what rings down from its start
 
     def gone(one: int | slice, two: int | slice) -> ComplexArray:
@@ -308,22 +342,25 @@ def _products(
         return np.asarray(came - went)
 
     others = slice(1, None)  # than those to the poles, first among each other
-    base = poles[:, np.newaxis, np.newaxis] * sums[1:, :, :, np.newaxis]
-    base = base + (turn(sums[1:]).transpose(2, 0, 1) * other)[:, np.newaxis]
+    base = gone(others, others)
+    base += poles[:, np.newaxis, np.newaxis] * sums[1:, :, :, np.newaxis]
+    base += (turn(sums[1:]).transpose(2, 0, 1) * other)[:, np.newaxis]
     base += np.pad(squares, (0, 1))[:, np.newaxis, :, np.newaxis]
-    base += gone(others, others)
-    base = np.where(near[:, np.newaxis], direct[1:, :, 1:], base / left[:, np.newaxis])
+    base /= left[:, np.newaxis]
+    base[:, first, :, second] = direct[:, 1:, 1:]
     with_states = np.einsum("aibk,bk->aik", base, turn(driven))
     states = np.einsum("ai,aik->ik", driven, with_states)
     # the sensitivities to the poles are driven by poles times states
     drives = turn(np.einsum("bk,bkl->lk", driven, sums[1:]) + sums[0].T)
     to_poles = other * (poles[:, np.newaxis] * with_states + drives[:, np.newaxis]) + gone(others, 0)
-    to_poles = np.where(near, direct[1:, :, 0], to_poles / left)
+    to_poles /= left
+    to_poles[:, first, second] = direct[:, 1:, 0].T
     ahead = np.einsum("ai,aik->ik", driven, to_poles)
     behind = turn(ahead).T
-    twice = both_poles * (ahead + behind + states) + gone(0, 0)
+    twice = (both_poles * (ahead + behind + states) + gone(0, 0)) / left
+    twice[first, second] = direct[:, 0, 0]
     found = np.empty((2 + m, n, 3 + m, n), dtype=np.complex128)
     found[0, :, 0], found[1:, :, 0] = behind, with_states
-    found[0, :, 1], found[1:, :, 1] = np.where(near, direct[0, :, 0], twice / left), to_poles
+    found[0, :, 1], found[1:, :, 1] = twice, to_poles
     found[0, :, 2:], found[1:, :, 2:] = turn(to_poles).transpose(2, 0, 1), base
     return found.reshape((2 + m) * n, -1)
