@@ -2,13 +2,15 @@
 
 The model's free run, y = sum of Re(c_i x_i) + D u + level, is linear in the shapes c, in D and in the levels, which are
 projected out (variable projection, Kaufman's form), and nonlinear in poles, participations b and initial states. A
-complex pole is lambda = exp(-exp(a) + j theta), so no step can leave the unit circle. With s a sensitivity of state i
-(`modal.estimation.modal_states`) and ' the transpose, * the conjugate transpose,
+complex pole is lambda = exp(-exp(a) + j theta), so no step can leave the unit circle. With s = r + j t a sensitivity of
+state i (`modal.estimation.modal_states`) and its shape c = a + j d, the real part of a parameter moves the outputs by
+Re(c s) = a r - d t, the imaginary part by -Im(c s) = -d r - a t, and their products are, with P = I - Phi (Phi'
+Phi)^-1 Phi',
 
-    J'J = 1/2 Re(M1 + M2) for real, 1/2 Re(M1 - M2) for imaginary parts of parameters, Im between them,
-    M1 = (c_i* W c_j) (s_i* P s_j),   M2 = (c_i' W c_j) (s_i' P s_j),   P = I - Phi (Phi' Phi)^-1 Phi'
+    J'J = (a_i' W a_j) (r_i' P r_j) - (a_i' W d_j) (r_i' P t_j) - (d_i' W a_j) (t_i' P r_j) + (d_i' W d_j) (t_i' P t_j)
 
-so that one Gram matrix of states and sensitivities gives shapes, gradient and J'J; no Jacobian is formed. The scale
+for two real parts and likewise for others, so that one Gram matrix of states and sensitivities gives shapes, gradient
+and J'J; no Jacobian is formed. The scale
 that b and c share is fixed by leaving the largest entry of each b alone. Outputs that were measured in other rows than
 others have sums of their own, and all of these add up.
 """
@@ -326,26 +328,37 @@ def step_equations(step: RefinementStep, *, weights: FloatArray, coordinates: "C
     """J'WJ and J'We in the free parameters, the linear part projected out."""
     coordinates = PolesAndParticipations() if coordinates is None else coordinates
     layout, linear = step.layout, step.linear
-    n, phi = layout.n_sensitivities, layout.regressors
-    both = slice(layout.real.start, layout.imaginary.stop)
-    first, second = np.zeros((2, n, n), dtype=np.complex128)
+    n, poles, phi = layout.n_sensitivities, layout.n_poles, layout.regressors
+    both, families = slice(layout.real.start, layout.imaginary.stop), n // max(1, poles)
+    matrix = np.zeros((2, families, poles, 2, families, poles))
     slope = np.zeros(n, dtype=np.complex128)
     for one in step.sums:
         gram, seen = one.gram, list(one.outputs)
         projected = one.inverse_factor @ gram[phi, both]
-        own = gram[both, both] - projected.T @ projected
+        own = projected.T @ projected
+        np.subtract(gram[both, both], own, out=own)
         out = [layout.outputs.start + i for i in seen]
         residual = gram[both][:, out] - gram[both, phi] @ linear.coefficients[:, seen]
-        rr, ri, ii = own[:n, :n], own[:n, n:], own[n:, n:]
-        c = linear.shapes[seen][:, layout.owners]
-        weighted = weights[np.ix_(seen, seen)] @ c
-        first += (c.conj().T @ weighted) * ((rr + ii) + 1j * (ri - ri.T))
-        second += (c.T @ weighted) * ((rr - ii) + 1j * (ri + ri.T))
-        slope += (weighted.T * (residual[:n] + 1j * residual[n:])).sum(axis=1)
-    total, difference = 0.5 * (first + second), 0.5 * (first - second)
-    matrix = np.block([[total.real, -total.imag], [difference.imag, difference.real]])
-    matrix, gradient = coordinates.taken(step.parameters, matrix, np.concatenate([slope.real, -slope.imag]))
+        shapes, W = linear.shapes[seen], weights[np.ix_(seen, seen)]
+        _add_weighted(matrix, own.reshape(matrix.shape), shapes, W)
+        slope += ((W @ shapes)[:, layout.owners].T * (residual[:n] + 1j * residual[n:])).sum(axis=1)
+    matrix, gradient = coordinates.taken(
+        step.parameters, matrix.reshape(2 * n, 2 * n), np.concatenate([slope.real, -slope.imag])
+    )
     return Normal(matrix=0.5 * (matrix + matrix.T), gradient=gradient)
+
+
+def _add_weighted(total: FloatArray, products: FloatArray, shapes: ComplexArray, weights: FloatArray) -> None:
+    """Add J'WJ from the products of sensitivities: each (2, n_families, n_poles) twice, real and imaginary parts.
+
+    A parameter moves the outputs by its own two of (2, 2, n_outputs, n_poles) shapes times the parts of a sensitivity.
+    """
+    a, d = shapes.real, shapes.imag
+    moved = np.array([[a, -d], [-d, -a]])  # [of the parameter, of the sensitivity]
+    weighted = np.einsum("kpon,om,lqmi->kplqni", moved, weights, moved, optimize=True)
+    for f in range(total.shape[1]):  # a family at a time stays in cache
+        for k, j, p, q in np.ndindex(2, 2, 2, 2):
+            total[k, f, :, j] += weighted[k, p, j, q][:, np.newaxis] * products[p, f, :, q]
 
 
 def outputs_of(step: RefinementStep, real: FloatArray, imaginary: FloatArray) -> FloatArray:
@@ -432,7 +445,14 @@ def inverse_root(matrix: FloatArray) -> FloatArray:
     A direction that the data do not show is left at rest.
     """
     size = sizes_of(matrix)
-    values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
+    scaled = matrix / np.outer(size, size)
+    factor, info = scipy.linalg.lapack.dpotrf(scaled, lower=1)
+    if info == 0:
+        root = scipy.linalg.solve_triangular(factor, np.diag(1.0 / size), lower=True, check_finite=False).T
+        # the trace of the inverse bounds its largest eigenvalue: where that is this small every direction is kept
+        if np.square(root * size[:, np.newaxis]).sum() * LEAST_CURVATURE < 1.0:
+            return np.asarray(root)
+    values, vectors = np.linalg.eigh(scaled)
     kept = values > LEAST_CURVATURE
     return np.asarray(vectors[:, kept] / np.sqrt(values[kept]) / size[:, np.newaxis])
 
@@ -565,9 +585,11 @@ class PolesAndParticipations:
 
 def _solve(matrix: FloatArray, right: FloatArray, damping: FloatArray) -> FloatArray:
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 0.0) + damping)
-    damped = (matrix + np.diag(damping)) * np.outer(scale, scale)
+    damped = matrix * scale
+    damped *= scale[:, np.newaxis]
+    np.einsum("ii->i", damped)[:] += damping * scale**2
     # LAPACK itself: where two poles nearly coincide `scipy.linalg.solve` warns of what the damping is there for
-    _, solution, info = scipy.linalg.lapack.dposv(damped, scale * right)
+    _, solution, info = scipy.linalg.lapack.dposv(damped.T, scale * right)  # symmetric, and columns come first there
     if info:
         solution = np.linalg.lstsq(damped, scale * right, rcond=1e-12)[0]
     result: FloatArray = scale * solution
