@@ -34,8 +34,8 @@ class _Form:
         poles: (n,).
         feed: (n, n_inputs + n_outputs).
         shapes: (n_outputs, n).
-        d_poles: (n_changes, n).
-        d_feed: (n_changes, n, n_inputs + n_outputs).
+        d_poles: (n_nonlinear, n) by the first changes; the others are of the linear part alone.
+        d_feed: (n_nonlinear, n, n_inputs + n_outputs).
         d_shapes: (n_changes, n_outputs, n).
         d_direct: (n_changes, n_outputs, n_inputs).
     """
@@ -59,59 +59,80 @@ def innovation_uncertainty(model: NoiseModel, modes: Sequence[Mode], *, n_lags: 
     """
     form, size = _form(model.fit), model.scaling.output_scale
     m = form.d_direct.shape[2]
-    K, dK = form.feed[:, m:], form.d_feed[:, :, m:]
-    A = np.diag(form.poles) + K @ form.shapes
-    dA = dK @ form.shapes + K @ form.d_shapes
-    at = np.arange(form.poles.size)
-    dA[:, at, at] += form.d_poles
-    poles, right = np.linalg.eig(A)
+    K, D = form.feed[:, m:], model.whole.D
+    poles, right = np.linalg.eig(np.diag(form.poles) + K @ form.shapes)
     left = np.linalg.inv(right)
-    seen = left @ dA @ right
-    apart = poles - poles[:, np.newaxis]
-    share = np.divide(1.0, apart, out=np.zeros_like(apart), where=apart != 0)
-    shapes = (form.shapes @ right) * size[:, np.newaxis]
-    reach, d_reach = (
-        form.feed[:, :m] + K @ model.whole.D,
-        form.d_feed[:, :, :m] + dK @ model.whole.D + K @ form.d_direct,
-    )
-    fed = left @ reach
-    d_fed = left @ d_reach - (seen * share) @ fed
-    d_shapes = (form.d_shapes @ right) * size[:, np.newaxis] + shapes @ (seen * share)
+    shapes, fed = (form.shapes @ right) * size[:, np.newaxis], left @ (form.feed[:, :m] + K @ D)
     wanted, _ = discrete_poles(tuple(modes), model.whole.dt)
     own = np.abs(wanted[:, np.newaxis] - poles).argmin(axis=1) if wanted.size else np.empty(0, dtype=np.intp)
-    d_log = seen[:, own, own] / poles[own]
-    s = np.log(poles[own])
-    growth = (s.conj() * d_log).real / np.abs(s)
-    damping = (s.real * growth / np.abs(s) - d_log.real) / np.abs(s)
-    first = np.abs(shapes[:, own]).argmax(axis=0), np.arange(own.size)
-    change = d_shapes[:, :, own]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        moved = change / shapes[:, own]
-        moved = (moved - 2.0 * moved[:, first[0], first[1]][:, np.newaxis]).transpose(0, 2, 1)
-        mass = moved[..., np.newaxis] - (d_fed / fed)[:, own, np.newaxis]
-    relative = shapes[:, own] / shapes[:, own][first]
-    change = (change - relative * change[:, first[0], first[1]][:, np.newaxis]) / shapes[:, own][first]
-    change[:, first[0], first[1]] = 0.0
-    into = model.scaling.input_scale
+    frequency_std, damping_std = np.zeros((2, own.size))
+    shape_std, mass_std = np.zeros((own.size, size.size)), np.zeros((own.size, size.size, m))
+    for k, i in enumerate(own.tolist()):
+        others = np.divide(1.0, poles[i] - poles, out=np.zeros_like(poles), where=poles != poles[i])
+        v, w = right[:, i], left[i]
+        seen = form.d_shapes @ v
+        moved = seen @ K.T  # dA v
+        moved[: len(form.d_poles)] += form.d_feed[:, :, m:] @ (form.shapes @ v) + form.d_poles * v
+        d_log = moved @ w / poles[i]
+        s = np.log(poles[i])
+        growth = (s.conj() * d_log).real / np.abs(s)
+        damping = (s.real * growth / np.abs(s) - d_log.real) / np.abs(s)
+        frequency_std[k] = np.linalg.norm(growth) / (2 * np.pi * model.whole.dt)
+        damping_std[k] = np.linalg.norm(damping) if np.angle(wanted[k]) != 0.0 else 0.0
+        change = seen * size + moved @ ((shapes * others) @ left).T
+        shape, first = shapes[:, i], int(np.abs(shapes[:, i]).argmax())
+        relative = (change - (shape / shape[first]) * change[:, [first]]) / shape[first]
+        relative[:, first] = 0.0
+        shape_std[k] = np.linalg.norm(relative, axis=0)
+        if m:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                drifts = change / shape
+                drifts -= 2.0 * drifts[:, [first]]
+                mass = drifts[:, :, np.newaxis] - (_fed(form, w, right * others, fed, D) / fed[i])[:, np.newaxis]
+            mass_std[k] = np.linalg.norm(mass.real, axis=0)
     return Uncertainty(
         method="output error",
-        frequency_std=np.linalg.norm(growth, axis=0) / (2 * np.pi * model.whole.dt),
-        damping_ratio_std=np.where(np.angle(wanted) != 0.0, np.linalg.norm(damping, axis=0), 0.0),
-        shape_std=np.sqrt(np.square(np.abs(change)).sum(axis=0)).T,
-        mass_std=np.linalg.norm(mass.real, axis=0),
-        markov_std=_markov_deviations(form, A, dA, model, n_lags) * (size[:, np.newaxis] / into),
+        frequency_std=frequency_std,
+        damping_ratio_std=damping_std,
+        shape_std=shape_std,
+        mass_std=mass_std,
+        markov_std=_markov_deviations(form, model, n_lags) * (size[:, np.newaxis] / model.scaling.input_scale),
         degrees_of_freedom=max(1.0, n_rows_of(model.fit.data) - model.fit.n_numbers / size.size),
     )
 
 
-def _markov_deviations(form: _Form, A: ComplexArray, dA: ComplexArray, model: NoiseModel, n_lags: int) -> FloatArray:
+def _fed(form: _Form, w: ComplexArray, others: ComplexArray, fed: ComplexArray, D: FloatArray) -> ComplexArray:
+    """(n_changes, n_inputs) of w_i (B + K D), with the left eigenvector's own change.
+
+    Args:
+        form: of the predictor.
+        w: (n,) left eigenvector.
+        others: (n, n) right eigenvectors over the distances of their eigenvalues from its own.
+        fed: (n, n_inputs) of all of them.
+        D: (n_outputs, n_inputs).
+    """
+    m, n = D.shape[1], len(form.d_poles)
+    K, dK = form.feed[:, m:], np.tensordot(form.d_feed[:, :, m:], w, axes=(1, 0))
+    moved = np.tensordot(form.d_shapes, w @ K, axes=(1, 0))  # w dA
+    moved[:n] += dK @ form.shapes + form.d_poles * w
+    change = np.tensordot(form.d_direct, w @ K, axes=(1, 0)) + moved @ (others @ fed)
+    change[:n] += np.tensordot(form.d_feed[:, :, :m], w, axes=(1, 0)) + dK @ D
+    return np.asarray(change)
+
+
+def _markov_deviations(form: _Form, model: NoiseModel, n_lags: int) -> FloatArray:
     """(n_lags + 1, n_outputs, n_inputs) of D and C A^(k-1) B with B the participations of the inputs + K D."""
-    m, D = form.d_direct.shape[2], model.whole.D
+    D = model.whole.D
+    m, n, at = D.shape[1], len(form.d_poles), np.arange(form.poles.size)
     deviations = np.zeros((n_lags + 1, *D.shape))
     if not m:
         return deviations
     K, dK = form.feed[:, m:], form.d_feed[:, :, m:]
-    reach, d_reach = form.feed[:, :m] + K @ D, form.d_feed[:, :, :m] + dK @ D + K @ form.d_direct
+    A, dA = np.diag(form.poles) + K @ form.shapes, K @ form.d_shapes
+    dA[:n] += dK @ form.shapes
+    dA[:n, at, at] += form.d_poles
+    reach, d_reach = form.feed[:, :m] + K @ D, K @ form.d_direct
+    d_reach[:n] += form.d_feed[:, :, :m] + dK @ D
     deviations[0] = np.linalg.norm(form.d_direct, axis=0)
     for k in range(1, n_lags + 1):
         deviations[k] = np.linalg.norm((form.d_shapes @ reach + form.shapes @ d_reach).real, axis=0)
@@ -124,9 +145,7 @@ def _form(fit: LikeliestFit) -> _Form:
     parameters, linear, layout = fit.step.parameters, fit.step.linear, fit.step.layout
     theta, coefficients = _loadings(fit)
     n, n_in = layout.n_poles, layout.n_inputs
-    places = layout.n_sensitivities
-    complex_ = (theta[:, :places] + 1j * theta[:, places:]).reshape(theta.shape[0], -1, n)
-    d_poles, d_feed = complex_[:, 0] * parameters.poles, complex_[:, 1 : 1 + n_in].transpose(0, 2, 1)
+    d_poles, d_feed = theta[:, 0] * parameters.poles, theta[:, 1 : 1 + n_in].transpose(0, 2, 1)
     d_c = (coefficients[:, :n] - 1j * coefficients[:, n : 2 * n]).transpose(0, 2, 1)
     pair = parameters.is_pair
     half = np.where(pair, 0.5, 1.0)
@@ -145,28 +164,23 @@ def _form(fit: LikeliestFit) -> _Form:
     )
 
 
-def _loadings(fit: LikeliestFit) -> tuple[FloatArray, FloatArray]:
-    """(n_changes, 2 n_sensitivities) and (n_changes, n_regressors, n_outputs): independent changes of unit variance."""
+def _loadings(fit: LikeliestFit) -> tuple[ComplexArray, FloatArray]:
+    """(n_nonlinear, n_families, n_poles) and (n_changes, n_regressors, n_outputs): independent, of unit variance."""
     step, layout = fit.step, fit.step.layout
     slopes = fit.coordinates.slopes(step.parameters)
     # R with the degrees of freedom taken off, so that W R = 1 scaled
     R = fit.covariance
     normal = step_equations(step, weights=inverse_covariance(R), coordinates=fit.coordinates)
-    theta = (slopes @ inverse_root(normal.matrix)).T
     (sums,) = step.sums  # a predictor needs every output of a row
-    gram, factor = sums.gram, sums.inverse_factor
-    phi, c = layout.regressors, step.linear.shapes.T[layout.owners]
-    inverse = factor.T @ factor
-    n = layout.n_sensitivities
-    real, imaginary = theta[:, :n], theta[:, n:]
-    # change of the outputs: sum of Re(c (real + i imaginary) s); what the regressors take up of it
-    weighted = (real + 1j * imaginary)[:, :, np.newaxis] * c
-    products = np.tensordot(weighted.real, gram[layout.real, phi], axes=(1, 0))
-    products -= np.tensordot(weighted.imag, gram[layout.imaginary, phi], axes=(1, 0))
-    taken = -np.einsum("son,nk->sko", products, inverse)
+    gram, factor, phi, n = sums.gram, sums.inverse_factor, layout.regressors, layout.n_sensitivities
+    both = (slopes @ inverse_root(normal.matrix)).T
+    theta = (both[:, :n] + 1j * both[:, n:]).reshape(len(both), -1, layout.n_poles)
+    # change of the outputs: sum over poles of Re(c sum over families of theta s); what the regressors take up of it
+    told = (gram[layout.real, phi] + 1j * gram[layout.imaginary, phi]).reshape(*theta.shape[1:], layout.n_regressors)
+    by_pole = np.matmul(theta.transpose(2, 0, 1), told.swapaxes(0, 1)) @ (factor.T @ factor)
+    taken = -np.tensordot(by_pole, step.linear.shapes, axes=(0, 1)).real
     own = np.einsum("kn,oq->kqno", factor, np.linalg.cholesky(R))
-    own = own.reshape(-1, layout.n_regressors, layout.n_outputs)
-    return np.vstack([theta, np.zeros((own.shape[0], theta.shape[1]))]), np.concatenate([taken, own])
+    return theta, np.concatenate([taken, own.reshape(-1, layout.n_regressors, layout.n_outputs)])
 
 
 def mean_by_information(values: Sequence[float], deviations: Sequence[float]) -> tuple[float, float]:
