@@ -244,8 +244,9 @@ def layout_of(parameters: ModalParameters, records: Sequence[Record], n_direct: 
 def signals_of(
     layout: SignalLayout, parameters: ModalParameters, index: int, record: Record
 ) -> Iterator[tuple[int, FloatArray]]:
-    """First row and (n_rows, n_signals) signals that one record has, chunk by chunk."""
+    """First row and (n_rows, n_signals) signals that one record has, chunk by chunk; free responses at rest too."""
     driven = Driven.of(layout, parameters, index, record)
+    driven = replace(driven, alive=_rows_alive(parameters.poles))
     for first, signals, _ in driven.signals():
         yield first, signals[driven.places].T
 
@@ -295,8 +296,6 @@ class Driven:
             recursion, powers = beside.recursion, beside.powers
         inputs = record.inputs[:, np.roll(own, -layout.alone.n_direct)].T
         start = parameters.states[index]
-        with np.errstate(divide="ignore"):
-            alive = 1.0 + np.floor(np.log(DIED_OUT) / np.log(np.abs(poles)))
         return cls(
             layout=layout.alone,
             poles=poles,
@@ -305,7 +304,7 @@ class Driven:
             partners=np.vstack([inputs, np.ones((1, record.n_samples)), record.outputs.T]),
             recursion=recursion,
             powers=powers,
-            alive=alive if start.any() else np.zeros(poles.size),
+            alive=_rows_alive(poles) if start.any() else np.zeros(poles.size),
         )
 
     @property
@@ -353,11 +352,12 @@ class Driven:
         inputs = np.roll(self.partners[:m], self.layout.n_direct, axis=0)[:, np.newaxis]
         memory = np.zeros((2 + m, n), dtype=np.complex128)
         memory[0] = self.alive > 0.0
-        # the state, and poles times it, imaginary part first, which drives what is sensitive to them
-        drives = np.vstack([self.start, self.participations.T])
-        times = np.stack([drives.real, drives.imag, (poles * drives).imag, (poles * drives).real], axis=1).T
-        turned = np.stack([-drives.imag, drives.real, (poles * drives).real, -(poles * drives).imag], axis=1).T
-        whole, both = np.zeros((self.n_signals, longest)), np.empty((2, n, 4, longest))
+        drives = np.vstack([self.start, self.participations.T]).T[:, :, np.newaxis] * np.array([1.0, 1j])
+        drives = drives.reshape(n, 2 * (1 + m))  # of the state, by real and imaginary parts of sensitivities
+        times = poles[:, np.newaxis] * drives  # of what drives the one to the pole, imaginary part first there
+        to_state = np.stack([drives.real, drives.imag], axis=1)
+        to_drive = np.stack([times.imag, times.real], axis=1)
+        whole, drive = np.zeros((self.n_signals, longest)), np.empty((n, 2, longest))
         for first in range(0, n_samples, longest):
             n_rows = min(longest, n_samples - first)
             signals = whole[:, :n_rows]
@@ -370,16 +370,21 @@ class Driven:
                 s[:, 0, 0], s[:, 1, 0] = free.real, free.imag
             for j in range(m):
                 memory[1 + j] = recursion.fill(s[:, :, 1 + j], inputs[[j], :, first : first + n_rows], memory[1 + j])
-            acting = slice(1 if self.n_over(first) else 0, 1 + m)
-            state, other = both[..., :n_rows]
-            np.matmul(times[:, :, acting], s[:, 0, acting], out=state)
-            np.matmul(turned[:, :, acting], s[:, 1, acting], out=other)
-            state += other
-            memory[-1] = recursion.fill(s[:, :, -1], state[:, 2:], memory[-1])
-            signals[self.others.stop :].reshape(2, n, n_rows)[:] = state[:, :2].swapaxes(0, 1)
+            acting = slice(2 if self.n_over(first) else 0, 2 * (1 + m))
+            moving = signals[: 2 * n * (1 + m)].reshape(2 * (1 + m), n, n_rows).swapaxes(0, 1)[:, acting]
+            state = signals[self.others.stop :].reshape(2, n, n_rows).swapaxes(0, 1)
+            np.matmul(to_state[:, :, acting], moving, out=state)
+            np.matmul(to_drive[:, :, acting], moving, out=drive[..., :n_rows])
+            memory[-1] = recursion.fill(s[:, :, -1], drive[..., :n_rows], memory[-1])
             signals[self.others] = self.partners[:, first : first + n_rows]
             memory[0] *= powers[n_rows - 1] * poles
             yield first, signals, memory.copy()
+
+
+def _rows_alive(poles: ComplexArray) -> FloatArray:
+    """(n_poles,) rows before a free response has died out."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(1.0 + np.floor(np.log(DIED_OUT) / np.log(np.abs(poles))))
 
 
 def blocks_of_answers(

@@ -130,7 +130,7 @@ class Sums:
         outputs: which.
         gram: (size, size) products of all signals.
         inverse_factor: (n_kept, n_regressors) W with W'W = (Phi' Phi)^-1 on the directions kept.
-        parts: (n_blocks, n, n) of each block's own regressors and outputs, over all rows that count.
+        parts: (n_held_out, n, n) of the own regressors and outputs of each block held out, over all rows that count.
     """
 
     outputs: tuple[int, ...]
@@ -160,7 +160,7 @@ class RefinementStep:
         parameters: nonlinear ones.
         linear: linear ones, from the training rows.
         layout: of all signals.
-        blocks: of the Gram matrices.
+        apart: blocks that are held out, of which the products are kept.
         sums: over the training rows, of outputs that are measured together.
         error: weighted sum of squares over the training rows.
     """
@@ -168,7 +168,7 @@ class RefinementStep:
     parameters: ModalParameters
     linear: LinearPart
     layout: SignalLayout
-    blocks: tuple[Block, ...]
+    apart: tuple[Block, ...]
     sums: tuple[Sums, ...]
     error: float
 
@@ -177,16 +177,15 @@ class RefinementStep:
         """Number of real states: two for a pair."""
         return int(np.where(self.parameters.is_pair, 2, 1).sum())
 
-    def block_errors(self, chosen: Sequence[int]) -> FloatArray:
-        """(n_chosen, n_outputs) squared error of the model on these blocks."""
+    def block_errors(self) -> FloatArray:
+        """(n_held_out, n_outputs) squared error of the model on the blocks that are held out."""
         phi, coefficients = self.layout.alone.regressors, self.linear.coefficients
-        errors = np.empty((len(chosen), self.layout.n_outputs))
+        errors = np.empty((len(self.apart), self.layout.n_outputs))
         for one in self.sums:
             seen = list(one.outputs)
             out = [phi.stop + i for i in seen]
-            for k, i in enumerate(chosen):
-                gram = one.parts[i]
-                theta = coefficients[self.layout.places(self.blocks[i].record)[phi]][:, seen]
+            for k, (block, gram) in enumerate(zip(self.apart, one.parts, strict=True)):
+                theta = coefficients[self.layout.places(block.record)[phi]][:, seen]
                 cross = gram[phi][:, out]
                 errors[k, seen] = gram[out, out] - (theta * (2.0 * cross - gram[phi, phi] @ theta)).sum(axis=0)
         return np.maximum(errors, 0.0)
@@ -289,7 +288,7 @@ def step_at(
         parameters=parameters,
         linear=linear,
         layout=layout,
-        blocks=data.blocks,
+        apart=tuple(block for block in data.blocks if block.label == held_out),
         sums=tuple(sums),
         error=float((weights * linear.error_products).sum()),
     )

@@ -2,8 +2,9 @@
 
 All sums over rows that a Gauss-Newton step and its linear part need are products of the signals of
 `modal.estimation.modal_states`, so a record is passed once and only its Gram matrices are kept: of all signals over the
-rows that train, of those that are linear over each block of rows; of several choices of the rows where outputs were not
-all measured in the same ones. Many sensitivities are not multiplied with each other, but follow from what drives them.
+rows that train, of those that are linear over each block of rows that is held out; of several choices of the rows where
+outputs were not all measured in the same ones. States are sums of sensitivities, and many sensitivities are not
+multiplied with each other, but follow from what drives them.
 """
 
 from collections.abc import Callable, Sequence
@@ -34,7 +35,7 @@ def signal_grams(
     n_direct: int,
     held_out: int = NONE,
 ) -> tuple[SignalLayout, FloatArray, FloatArray]:
-    """Gram matrices: of all signals over the rows that train, of what is linear over those of each block.
+    """Gram matrices: of all signals over the rows that train, of what is linear over those of each block held out.
 
     Args:
         parameters: of the model.
@@ -45,8 +46,8 @@ def signal_grams(
         held_out: blocks with this label do not train.
 
     Returns:
-        Layout of all signals, the (size, size) Gram matrix, and those of each block's own regressors and outputs,
-        (n_blocks, n, n): thirty records have thirty levels, of which a block has one.
+        Layout of all signals, the (size, size) Gram matrix, and those of the own regressors and outputs of each block
+        that is held out, (n_held_out, n, n): thirty records have thirty levels, of which a block has one.
     """
     layout, ((whole, parts),) = signal_grams_over(
         parameters, records, [rows], blocks, n_direct=n_direct, held_out=held_out
@@ -66,13 +67,14 @@ def signal_grams_over(
     """`signal_grams` for several choices of the rows that count, in one pass."""
     layout = layout_of(parameters, records, n_direct)
     wholes = [np.zeros((layout.size, layout.size)) for _ in choices]
-    parts = np.zeros((len(choices), len(blocks), *2 * (layout.alone.n_regressors + layout.n_outputs,)))
+    apart = [block for block in blocks if block.label == held_out]
+    parts = np.zeros((len(choices), len(apart), *2 * (layout.alone.n_regressors + layout.n_outputs,)))
     beside: Driven | None = None
     for r, record in enumerate(records):
         beside = driven = Driven.of(layout, parameters, r, record, beside=beside)
-        own = [i for i, block in enumerate(blocks) if block.record == r]
+        training = [block for block in blocks if block.record == r and block.label != held_out]
         totals = [
-            _Total.of(driven, rows[r], [(blocks[i], part[i]) for i in own], held_out)
+            _Total.of(driven, rows[r], training, [one for one in zip(apart, part, strict=True) if one[0].record == r])
             for rows, part in zip(choices, parts, strict=True)
         ]
         for start, signals, after in driven.signals():
@@ -94,8 +96,7 @@ def _all_of(places: IndexArray, size: int) -> tuple[slice, slice] | tuple[IndexA
 class _Total:
     """Products of all signals over the rows of a record that count and train, added up.
 
-    States are sums of sensitivities, x = sum over j of b_j dx/db_j + x0 dx/dx0, so their products are not summed up but
-    for those with what is known.
+    States are sums of sensitivities, x = sum over j of b_j dx/db_j + x0 dx/dx0, so their products follow.
 
     Attributes:
         driven: the record's model.
@@ -103,10 +104,10 @@ class _Total:
         all_count: whether all of them do.
         counted: (n_samples,) those of them that train.
         runs: of `counted`, first row and one past the last.
-        blocks: and the products of what is known of each, over its rows that count.
+        together: whether rows are copied together, because some are missing or they take turns.
+        apart: blocks that are held out, and the products of what is known of each, over its rows that count.
         gram: (n, n) of all but the states in the order of `driven`; empty where there are `sums`.
         sums: in its place, where products follow from each other.
-        held_out: the label of blocks that do not train.
     """
 
     driven: Driven
@@ -114,18 +115,19 @@ class _Total:
     all_count: bool
     counted: BoolArray
     runs: Sequence[tuple[int, int]]
-    blocks: Sequence[tuple[Block, FloatArray]]
+    together: bool
+    apart: Sequence[tuple[Block, FloatArray]]
     gram: FloatArray
     sums: "_Sums | None"
-    held_out: int
 
     @classmethod
-    def of(cls, driven: Driven, rows: BoolArray, blocks: Sequence[tuple[Block, FloatArray]], held_out: int) -> "_Total":
-        """Nothing added up yet but what `blocks` hold."""
+    def of(
+        cls, driven: Driven, rows: BoolArray, training: Sequence[Block], apart: Sequence[tuple[Block, FloatArray]]
+    ) -> "_Total":
+        """Nothing added up yet but what those `apart` hold."""
         counted = np.zeros(rows.size, dtype=np.bool_)
-        for block, _ in blocks:
-            if block.label != held_out:
-                counted[block.rows] = rows[block.rows]
+        for block in training:
+            counted[block.rows] = rows[block.rows]
         runs = runs_of(counted)
         many = driven.others.start >= FEWEST_SIGNALS and counted.sum() >= FEWEST_ROWS * len(runs)
         follow = many and 2 * (near := _near(driven.poles)).sum() < near.size
@@ -136,16 +138,16 @@ class _Total:
             all_count=bool(rows.all()),
             counted=counted,
             runs=runs,
-            blocks=blocks,
+            together=len(runs) > len(training),
+            apart=apart,
             gram=np.zeros((size, size)),
             sums=_Sums.of(driven, near, runs) if follow else None,
-            held_out=held_out,
         )
 
     def add(self, start: int, signals: FloatArray, after: ComplexArray) -> None:
         """A chunk of signals from row `start` on, and the sensitivities after it."""
         linear, stop = signals[self.driven.known], start + signals.shape[1]
-        for block, total in self.blocks:
+        for block, total in self.apart:
             first, last = max(start, block.first), min(stop, block.last)
             first += (block.first - first) % block.step
             if first < last:
@@ -155,13 +157,13 @@ class _Total:
                 total += own @ own.T  # noqa: PLW2901
         over = self.driven.n_over(start)
         moving = signals[over : self.driven.others.stop]
-        if len(self.runs) <= len(self.blocks):
+        if self.together:
+            chosen = [np.compress(self.counted[start:stop], moving, axis=1)]
+        else:
             pieces = [
                 (max(start, first), min(stop, last)) for first, last in self.runs if first < stop and last > start
             ]
             chosen = [moving[:, first - start : last - start] for first, last in pieces]
-        else:  # rows are missing or take turns, and are copied together
-            chosen = [np.compress(self.counted[start:stop], moving, axis=1)]
         for one in chosen:
             if self.sums is None:
                 self.gram[over:, over:] += one @ one.T
@@ -172,21 +174,25 @@ class _Total:
 
     def all_products(self) -> FloatArray:
         """(size, size) in the order of the layout."""
-        driven, n, stop = self.driven, self.driven.poles.size, self.driven.others.stop
-        known = np.zeros(2 * (driven.n_signals - driven.known.start,))
-        for block, own in self.blocks:
-            if block.label != self.held_out:
-                known += own
         if self.sums is not None:
-            return self.sums.gram(known)
-        moving = self.gram[:, : driven.others.start].reshape(stop, driven.n_families, 2, n)[:, :-1]
-        by = np.vstack([driven.start, driven.participations.T])
-        states = np.einsum("sfn,fn->sn", moving[:, :, 0] + 1j * moving[:, :, 1], by)
+            return self.sums.gram()
+        driven, stop = self.driven, self.driven.others.stop
         gram = np.empty((driven.n_signals, driven.n_signals))
-        gram[:stop, :stop], gram[:stop, stop:] = self.gram, np.hstack([states.real, states.imag])
-        gram[stop:, :stop] = gram[:stop, stop:].T
-        gram[driven.known, driven.known] = known
+        gram[:stop, :stop] = self.gram
+        gram[stop:, :stop] = self._of_states(self.gram)
+        gram[:stop, stop:] = gram[stop:, :stop].T
+        gram[stop:, stop:] = self._of_states(gram[:stop, stop:])
         return gram[np.ix_(driven.places, driven.places)]
+
+    def _of_states(self, products: FloatArray) -> FloatArray:
+        """(2 n_poles, n) products of states with whatever, from (n_signals - 2 n_poles, n) of all other signals."""
+        driven = self.driven
+        moving = products[: driven.others.start].reshape(driven.n_families, 2, driven.poles.size, products.shape[1])[
+            :-1
+        ]
+        by = np.vstack([driven.start, driven.participations.T])
+        states = np.einsum("fn,fns->ns", by, moving[:, 0] + 1j * moving[:, 1])
+        return np.vstack([states.real, states.imag])
 
 
 def _near(poles: ComplexArray) -> BoolArray:
@@ -211,7 +217,7 @@ class _Sums:
         near: (2, n_near) first and second pole of pairs that hardly die out, the first no later than the second.
         runs: first row and one past the last.
         partners: (n_sensitivities, n_partners) sums of real signals with their partners, added up.
-        squares: (n_inputs, n_inputs) products of the inputs.
+        squares: (n_partners, n_partners) products of partners.
         ends: (2, n_runs, 2 + n_inputs, n_poles) sensitivities at the first row of a run, and after its last.
         direct: (n_near, 2 n_families, 2 n_families) of real signals, where near.
     """
@@ -234,7 +240,7 @@ class _Sums:
             near=pairs,
             runs=runs,
             partners=np.zeros((n_own * n, len(driven.partners))),
-            squares=np.zeros((m, m)),
+            squares=np.zeros((len(driven.partners), len(driven.partners))),
             ends=np.zeros((2, len(runs), 2 + m, n), dtype=np.complex128),
             direct=np.zeros((pairs.shape[1], n_own, n_own)),
         )
@@ -244,7 +250,7 @@ class _Sums:
         n, size = self.driven.poles.size, len(self.partners) - over
         own, partners = signals[:size], signals[size:]
         self.partners[over:] += own @ partners.T
-        self.squares[:] += partners[: len(self.squares)] @ partners[: len(self.squares)].T
+        self.squares[:] += partners @ partners.T
         alive = self.direct[:, over // n :, over // n :]
         for total, i, j in zip(alive, *self.near.tolist(), strict=True):
             total += own[i::n] @ own[j::n].T  # noqa: PLW2901
@@ -263,18 +269,19 @@ class _Sums:
             if start < last <= stop:
                 self.ends[1, i] = after if last == stop else at(last)
 
-    def gram(self, known: FloatArray) -> FloatArray:
-        """(size, size) all products in the order of the layout; of what is known with each other those given."""
-        driven, layout, n, m = self.driven, self.driven.layout, self.driven.poles.size, len(self.squares)
-        size, into = (2 + m) * n, np.roll(np.arange(m), layout.n_direct)  # as in the layout: those at once first
+    def gram(self) -> FloatArray:
+        """(size, size) all products in the order of the layout."""
+        driven, layout, n, m = self.driven, self.driven.layout, self.driven.poles.size, self.driven.layout.n_inputs
+        into = np.roll(np.arange(m), layout.n_direct)  # as in the layout: those that act at once first
         order = np.array([1 + m, *range(1, 1 + m), 0])  # families of the layout
         partners = self.partners.reshape(2 + m, 2, n, -1)[order].swapaxes(0, 1)
+        sums, by = partners[0] + 1j * partners[1], np.vstack([driven.participations.T, driven.start])
         d = self.direct.reshape(-1, 2 + m, 2, 2 + m, 2)[:, order][:, :, :, order]
         products_of = partial(
             _products,
             driven.poles,
-            np.vstack([driven.participations.T, driven.start]),
-            sums=(partners[0] + 1j * partners[1])[:, :, into],
+            by,
+            sums=sums[:, :, into],
             ends=self.ends[:, :, order],
             squares=self.squares[np.ix_(into, into)],
             near=self.near,
@@ -285,24 +292,25 @@ class _Sums:
         upper += plain
         upper *= 0.5
         lower = upper - plain
-        # rows: real, imaginary; columns: of states and of sensitivities, real, imaginary
         gram = np.empty((layout.size, layout.size))
-        for rows, real, imaginary, sign in (
-            (layout.real, upper.real, lower.imag, -1.0),
-            (layout.imaginary, upper.imag, lower.real, 1.0),
-        ):
-            gram[rows, :n], gram[rows, layout.real] = real[:, :n], real[:, n:]
-            np.multiply(imaginary[:, :n], sign, out=gram[rows, n : 2 * n])
-            np.multiply(imaginary[:, n:], sign, out=gram[rows, layout.imaginary])
-        both = slice(layout.real.start, layout.imaginary.stop)
-        with_known = partners.reshape(2 * size, -1)[:, m - layout.n_direct :]
-        gram[both, 2 * n : layout.n_regressors] = with_known[:, : layout.n_direct + 1]
-        gram[both, layout.outputs] = with_known[:, layout.n_direct + 1 :]
-        for rest in (layout.regressors, layout.outputs):
-            gram[rest, both] = gram[both, rest].T
-        here = np.r_[layout.regressors, layout.outputs]
-        at = driven.places[here] - driven.known.start
-        gram[np.ix_(here, here)] = known[np.ix_(at, at)]
+        states, imaginary_states = slice(0, n), slice(n, 2 * n)
+        rows = [(states, imaginary_states), (layout.real, layout.imaginary)]
+        first = 0
+        for real, imaginary in rows:
+            last = first + real.stop - real.start
+            for (columns, imaginary_columns), own in zip(rows, (slice(0, n), slice(n, None)), strict=True):
+                gram[real, columns] = upper[first:last, own].real
+                gram[imaginary, columns] = upper[first:last, own].imag
+                gram[imaginary, imaginary_columns] = lower[first:last, own].real
+                np.negative(lower[first:last, own].imag, out=gram[real, imaginary_columns])
+            first = last
+        by_states = np.einsum("fn,fnp->np", by, sums[1:])
+        moving = np.vstack([by_states.real, by_states.imag, partners.reshape(-1, partners.shape[-1])])
+        known = np.r_[2 * n : layout.n_regressors, layout.outputs]
+        here = np.r_[0 : 2 * n, layout.real.start : layout.imaginary.stop]
+        away = slice(m - layout.n_direct, None)
+        gram[np.ix_(here, known)], gram[np.ix_(known, here)] = moving[:, away], moving[:, away].T
+        gram[np.ix_(known, known)] = self.squares[away, away]
         return gram
 
 
@@ -317,7 +325,7 @@ def _products(
     near: IndexArray,
     turn: Callable[[ComplexArray], ComplexArray],
 ) -> ComplexArray:
-    """(n_sensitivities, n_poles + n_sensitivities) products of sensitivities with states and with sensitivities.
+    """(n_poles + n_sensitivities, same) products of states and sensitivities with each other.
 
     Args:
         poles: (n_poles,).
@@ -359,8 +367,8 @@ def _products(
     behind = turn(ahead).T
     twice = (both_poles * (ahead + behind + states) + gone(0, 0)) / left
     twice[first, second] = direct[:, 0, 0]
-    found = np.empty((2 + m, n, 3 + m, n), dtype=np.complex128)
-    found[0, :, 0], found[1:, :, 0] = behind, with_states
-    found[0, :, 1], found[1:, :, 1] = twice, to_poles
-    found[0, :, 2:], found[1:, :, 2:] = turn(to_poles).transpose(2, 0, 1), base
-    return found.reshape((2 + m) * n, -1)
+    found = np.empty((3 + m, n, 3 + m, n), dtype=np.complex128)
+    found[0, :, 0], found[0, :, 1], found[0, :, 2:] = states, ahead, turn(with_states).transpose(2, 0, 1)
+    found[1, :, 0], found[1, :, 1], found[1, :, 2:] = behind, twice, turn(to_poles).transpose(2, 0, 1)
+    found[2:, :, 0], found[2:, :, 1], found[2:, :, 2:] = with_states, to_poles, base
+    return found.reshape((3 + m) * n, -1)

@@ -185,8 +185,6 @@ def _pursued(
         turns: the model and the likeliest forces by turns, and data with those.
     """
     trials: list[Trial] = []
-    folds = range(len(shop.ground.folds))
-    scored = [[i for i, block in enumerate(shop.data.blocks) if block.label == fold] for fold in folds]
     step: RefinementStep | None = nothing_yet(data)
     best, without_gain = None, 0
     most = FURTHER_ORDERS[-1] if len(model_orders) > 1 else model_orders[0]
@@ -197,10 +195,10 @@ def _pursued(
         step = refine(step, data, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
         step, data, _ = turns(step)
         errors = []
-        for fold, blocks in enumerate(scored):
+        for fold in range(len(shop.ground.folds)):
             start = step_at(step.parameters, data, held_out=fold)
             last = refine(start, data, held_out=fold, n_steps=1, least_gain=GROWS_ON)[-1]
-            errors.append(last.block_errors(blocks))
+            errors.append(last.block_errors())
         n = len(trials) + 1
         made = trial_of(*observer, 2 * n, errors, shop.ground.power, refinement_steps=MOST_STEPS, weak_modes=n)
         trials.append(made)
@@ -270,10 +268,7 @@ def growing(
                 refine(step, data, held_out=fold, n_steps=MOST_STEPS, least_gain=STANDS_STILL)[-1] if step else own
                 for fold, (own, step) in enumerate(zip(steps, larger, strict=True))
             ]
-            errors = [
-                step.block_errors([i for i, block in enumerate(data.blocks) if block.label == fold])
-                for fold, step in enumerate(there)
-            ]
+            errors = [step.block_errors() for step in there]
             trial = trial_of(
                 chosen.observer_order,
                 chosen.ridge,
@@ -353,16 +348,15 @@ def _trials(shop: _Workshop, candidate: tuple[int, float, int], *, hopeless: flo
 def _fold_errors(shop: _Workshop, candidate: tuple[int, float, int], fold: int, n_steps: int) -> list[FloatArray]:
     """(n_blocks, n_outputs) squared errors after each step; empty where the candidate has no stable start."""
     key = (*candidate, fold)
-    scored = [i for i, block in enumerate(shop.data.blocks) if block.label == fold]
     if key not in shop.errors:
         start = _start(shop, candidate, fold)
         shop.steps[key] = [] if start is None else [start]
-        shop.errors[key] = [] if start is None else [start.block_errors(scored)]
+        shop.errors[key] = [] if start is None else [start.block_errors()]
     done = len(shop.errors[key]) - 1
     if shop.steps[key] and done < n_steps and key not in shop.still:
         last = shop.steps[key][-1]
         steps = refine(last, shop.data, held_out=fold, n_steps=n_steps - done, least_gain=STANDS_STILL)
-        shop.errors[key] += [step.block_errors(scored) for step in steps[1:]]
+        shop.errors[key] += [step.block_errors() for step in steps[1:]]
         shop.steps[key] = [steps[-1]]
         if len(steps) <= n_steps - done:
             shop.still.add(key)

@@ -149,7 +149,7 @@ def _better_in_white(
     data = output_error_data(here), output_error_data(there)
     chosen = replace(found.chosen, refinement_steps=MOST_STEPS, weak_modes=0, answers=0)
     own = _of_folds(model, there, data[1])
-    start = _trial(chosen, own, there, data[1])
+    start = _trial(chosen, own, there)
     if start is None:
         return None, None
     best, larger, ratio = None, None, np.inf
@@ -158,7 +158,7 @@ def _better_in_white(
         larger = trial if trial.weak_modes else None
         if not ratio < max(before, NEARLY_WHITE):  # more modes make what is not linear no whiter
             break
-        as_it_came = _trial(trial, _carried(steps, there, here, data[0]), here, data[0])
+        as_it_came = _trial(trial, _carried(steps, there, here, data[0]), here)
         if ratio <= NEARLY_WHITE and as_it_came is not None:
             best = trial, replace(as_it_came, weak_modes=found.chosen.weak_modes + grown + trial.weak_modes)
     return best, larger
@@ -228,14 +228,11 @@ def _carried(steps: Sequence[RefinementStep], ground: Ground, other: Ground, dat
     return carried
 
 
-def _trial(like: Trial, steps: Sequence[RefinementStep], ground: Ground, data: OutputError) -> Trial | None:
+def _trial(like: Trial, steps: Sequence[RefinementStep], ground: Ground) -> Trial | None:
     """The trial of a model of each fold; None without them."""
     if not steps:
         return None
-    errors = [
-        step.block_errors([i for i, block in enumerate(data.blocks) if block.label == fold])
-        for fold, step in enumerate(steps)
-    ]
+    errors = [step.block_errors() for step in steps]
     return trial_of(
         like.observer_order,
         like.ridge,

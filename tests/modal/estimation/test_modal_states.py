@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from textbook_output_error import differences, loop_sensitivities, loop_signals, loop_states, random_loop_model
 
 from modal.estimation import modal_states, signal_sums
-from modal.estimation.modal_states import NONE, ModalParameters, SignalLayout, blocks_of
+from modal.estimation.modal_states import NONE, ModalParameters, SignalLayout, blocks_of, layout_of
 from modal.estimation.signal_sums import signal_grams
 from okid.record import Record
 
@@ -19,11 +19,12 @@ def parameters_of(model):
     return ModalParameters(poles=model.poles, is_pair=model.is_pair, inputs=model.b, states=model.starts)
 
 
-def a_case(seed, *, lengths, n_pairs=2, n_real=1, n_inputs=2, n_outputs=2, missing=0.0, roving=False):
+def a_case(seed, *, lengths, n_pairs=2, n_real=1, n_inputs=2, n_outputs=2, missing=0.0, roving=False, fading=1):
     rng = np.random.default_rng(seed)
     model = random_loop_model(
         rng, n_pairs=n_pairs, n_real=n_real, n_inputs=n_inputs, n_outputs=n_outputs, n_records=len(lengths)
     )
+    model = replace(model, poles=model.poles * np.abs(model.poles) ** (fading - 1))
     records = [Record(rng.standard_normal((n, n_inputs)), rng.standard_normal((n, n_outputs)), 0.1) for n in lengths]
     for r, record in enumerate(records if roving else ()):  # one moves in each, of some two
         still = [j for j in range(n_inputs) if j not in (r % n_inputs, r // n_inputs)]
@@ -53,6 +54,8 @@ CASES = {
     "no inputs": {"lengths": (60, 50), "n_inputs": 0},
     "a hammer that roves": {"lengths": (70, 40, 60, 50), "n_inputs": 3, "missing": 0.1, "roving": True},
     "one that roves, by sums that follow": {"lengths": (230, 150, 90), "n_pairs": 4, "n_inputs": 3, "roving": True},
+    "over soon": {"lengths": (90, 60), "fading": 60},
+    "sums that follow, over soon": {"lengths": (230, 150), "n_pairs": 4, "n_inputs": 3, "fading": 60},
     "sums that follow from each other": {"lengths": (230, 150), "n_pairs": 3, "n_real": 2, "n_inputs": 5},
 }
 
@@ -65,25 +68,41 @@ def test_gram_matrices_are_sums_over_the_samples_of_a_loop(monkeypatch, case, ch
     monkeypatch.setattr(signal_sums, "FEWEST_SIGNALS", 1)
     model, records, rows = a_case(5, **case)
     blocks = blocks_of(records, even_folds(records, 2))
-    layout, _, parts = signal_grams(parameters_of(model), records, rows, blocks, n_direct=records[0].n_inputs)
-    alone = layout.alone
-    known = np.r_[alone.regressors, alone.outputs]
-    assert parts.shape == (len(blocks), known.size, known.size)
+    parameters = parameters_of(model)
+    layout = layout_of(parameters, records, records[0].n_inputs)
+    known = np.r_[layout.alone.regressors, layout.alone.outputs]
     signals = [loop_signals(model, r, record.inputs, record.outputs) for r, record in enumerate(records)]
-    totals = {label: np.zeros((layout.size, layout.size)) for label in (-1, 0, 1)}
-    for block, found in zip(blocks, parts, strict=True):
-        own = signals[block.record][block.rows][rows[block.record][block.rows]]
-        expected = own.T @ own
-        totals[block.label] += expected
-        places = layout.places(block.record)[known]
-        at_most = max(1.0, np.abs(expected).max())
-        np.testing.assert_allclose(found, expected[np.ix_(places, places)], rtol=0, atol=1e-10 * at_most)
+    each = [signals[block.record][block.rows][rows[block.record][block.rows]] for block in blocks]
+    each = [own.T @ own for own in each]
     for held_out in (NONE, 0, 1):
-        _, found, _ = signal_grams(
-            parameters_of(model), records, rows, blocks, n_direct=records[0].n_inputs, held_out=held_out
+        _, found, parts = signal_grams(
+            parameters, records, rows, blocks, n_direct=records[0].n_inputs, held_out=held_out
         )
-        expected = sum(total for label, total in totals.items() if label != held_out)
+        nothing = np.zeros((layout.size, layout.size))
+        expected = sum((own for own, block in zip(each, blocks, strict=True) if block.label != held_out), nothing)
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * max(1.0, np.abs(expected).max()))
+        apart = [(own, block) for own, block in zip(each, blocks, strict=True) if block.label == held_out]
+        assert parts.shape == (len(apart), known.size, known.size)
+        for part, (own, block) in zip(parts, apart, strict=True):
+            places = layout.places(block.record)[known]
+            at_most = max(1.0, np.abs(own).max())
+            np.testing.assert_allclose(part, own[np.ix_(places, places)], rtol=0, atol=1e-10 * at_most)
+
+
+@pytest.mark.parametrize("fewest", [1, 10_000])
+def test_where_a_record_begins_at_rest_all_but_its_free_responses_is_summed_up(monkeypatch, fewest):
+    monkeypatch.setattr(signal_sums, "FEWEST_ROWS", 1)
+    monkeypatch.setattr(signal_sums, "FEWEST_SIGNALS", fewest)
+    model, records, rows = a_case(7, lengths=(90, 70), n_pairs=4, missing=0.1)
+    model = replace(model, starts=model.starts * [[1.0], [0.0]])
+    layout, gram, _ = signal_grams(parameters_of(model), records, rows, blocks_of(records, []), n_direct=2)
+    signals = [loop_signals(model, r, one.inputs, one.outputs)[rows[r]] for r, one in enumerate(records)]
+    asked = np.ones(layout.size, dtype=bool)
+    for part in (layout.real, layout.imaginary):
+        asked[part.stop - layout.n_poles : part.stop] = False
+    expected = sum(own.T @ own for own in signals)[np.ix_(asked, asked)]
+    np.testing.assert_allclose(gram[np.ix_(asked, asked)], expected, rtol=0, atol=1e-10 * np.abs(expected).max())
+    assert not gram[~asked].any()
 
 
 @pytest.mark.parametrize("decay", [2e-2, 1e-4, 1e-7])
