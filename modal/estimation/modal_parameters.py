@@ -326,19 +326,21 @@ def _strongest_answers(cross: FloatArray, own: FloatArray, levels: Sequence[Floa
     lags, angle = np.arange(n_lags - 1), 2.0 * np.pi * np.arange(length // 2 + 1) / length
     least = np.finfo(np.float64).eps * own[:, :1] + TINY  # rounding, and an input that never moves
     best: list[tuple[float, complex, int]] = [(-1.0, 0j, 0) for _ in levels]
+    shares = [1.0 / level for level in levels]
     for decay in _decays(n_lags):
-        there = np.flatnonzero((angle > decay) & (angle < np.pi - decay))
-        if not there.size:
+        there = slice(np.searchsorted(angle, decay, side="right"), np.searchsorted(angle, np.pi - decay))
+        if there.start >= there.stop:
             continue
         fading = np.exp(-decay * lags)
-        squares = np.abs(np.fft.rfft(cross[..., 1:] * fading, length)[..., there]) ** 2
-        turned = np.fft.rfft(own[:, 1:] * fading, length)[:, there] * np.exp(-decay - 1j * angle[there])
+        products = scipy.fft.rfft(cross[..., 1:] * fading, length)[..., there]
+        squares = products.real**2 + products.imag**2
+        turned = scipy.fft.rfft(own[:, 1:] * fading, length)[:, there] * np.exp(-decay - 1j * angle[there])
         energy = np.maximum(own[:, :1] + 2.0 * turned.real, least) / -np.expm1(-2.0 * decay)
-        for i, level in enumerate(levels):
-            gains = (squares / level[:, there]).sum(axis=1) / energy
+        for i, share in enumerate(shares):
+            gains = np.einsum("jok,ok->jk", squares, share[:, there]) / energy
             j, k = np.unravel_index(int(gains.argmax()), gains.shape)
             if gains[j, k] > best[i][0]:
-                best[i] = (float(gains[j, k]), complex(np.exp(-decay + 1j * angle[there[k]])), int(j))
+                best[i] = (float(gains[j, k]), complex(np.exp(-decay + 1j * angle[there][k])), int(j))
     return [(pole, acting) for _, pole, acting in best]
 
 
@@ -364,11 +366,11 @@ def _correlations(
     own = np.zeros((n_inputs, length // 2 + 1), dtype=np.complex128)
     for error, given in zip(errors, inputs, strict=True):
         for first in range(0, len(error), hop):
-            acting = np.fft.rfft(given[first : first + hop], length, axis=0).T
-            later, answer = (np.fft.rfft(one[first : first + length], length, axis=0).T for one in (given, error))
+            acting = scipy.fft.rfft(given[first : first + hop].T, length)
+            later, answer = (scipy.fft.rfft(one[first : first + length].T, length) for one in (given, error))
             own += acting.conj() * later
             cross += acting.conj()[:, np.newaxis] * answer
-    return np.fft.irfft(cross, length)[..., :n_lags], np.fft.irfft(own, length)[:, :n_lags]
+    return scipy.fft.irfft(cross, length)[..., :n_lags], scipy.fft.irfft(own, length)[:, :n_lags]
 
 
 def errors_of(step: RefinementStep, data: OutputError, *, held_out: int = NONE) -> list[FloatArray]:
