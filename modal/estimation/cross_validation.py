@@ -12,7 +12,7 @@ too, is known before the first row that does.
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -31,7 +31,8 @@ from modal.estimation.free_run import (
     moving_inputs,
     one_step_predictor,
 )
-from modal.estimation.modal_states import parts_of
+from modal.estimation.modal_states import ModalParameters, parts_of
+from modal.estimation.output_error import OutputError
 from okid.arrays import BoolArray, FloatArray
 from okid.display import Displayed
 from okid.gram import LagGram, lag_gram, turn_gram
@@ -459,6 +460,21 @@ def hankel_shape(n_lags: int, n_inputs: int, n_outputs: int) -> tuple[int, int]:
     return a * n_outputs, b * n_channels
 
 
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Grown:
+    """A model that grew mode by mode from nothing.
+
+    Attributes:
+        parameters: of the model.
+        data: that it grew on.
+        told: the same with the likeliest forces.
+    """
+
+    parameters: ModalParameters
+    data: OutputError
+    told: OutputError
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class Trial(Displayed):
     """One candidate that was fitted and scored.
@@ -474,6 +490,7 @@ class Trial(Displayed):
         refinement_steps: output-error steps made on each fold's training rows before scoring.
         weak_modes: modes of the model order that were added from what the refined model left over.
         answers: the last so many of these were found by their answers, the others by an observer.
+        grown: the model of all scored rows, where it grew from nothing.
     """
 
     observer_order: int
@@ -485,6 +502,7 @@ class Trial(Displayed):
     refinement_steps: int = 0
     weak_modes: int = 0
     answers: int = 0
+    grown: Grown | None = field(default=None, repr=False)
 
     @property
     def grew(self) -> bool:

@@ -13,7 +13,7 @@ or the answer to an input that takes most of it; it is added, and the refinement
 held-out rows, whether it stays.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -22,10 +22,10 @@ import scipy
 
 from era.realisation import HankelFactors, Realisation
 from era.state_recursion import lifted
-from modal.estimation.cross_validation import FIRST_RIDGE, corner, decompose_coefficients
+from modal.estimation.cross_validation import FIRST_RIDGE, Grown, corner, decompose_coefficients
 from modal.estimation.free_run import ModalForm, ModalRecursion, begins_at_rest, initial_state
 from modal.estimation.modal_states import NONE, ModalParameters
-from modal.estimation.output_error import OutputError, RefinementStep, step_at
+from modal.estimation.output_error import GROWS_AFTER, GROWS_ON, OutputError, RefinementStep, refine, step_at
 from modal.estimation.whitening import output_filters
 from modal.modes.modal_form import modal_basis
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
@@ -175,6 +175,43 @@ def nothing_yet(data: OutputError) -> RefinementStep:
         states=np.empty((n_records, 0), dtype=np.complex128),
     )
     return step_at(nothing, data)
+
+
+def with_weak_modes(
+    step: RefinementStep,
+    data: OutputError,
+    ways: Sequence[Proposal],
+    turns: Callable[[RefinementStep], tuple[RefinementStep, OutputError, tuple[FloatArray, ...]]],
+    grown: Grown | None = None,
+) -> tuple[RefinementStep, OutputError]:
+    """The model with a weak mode more for each way to find one, and the data with the likeliest forces.
+
+    Args:
+        step: a refined model.
+        data: that it was fitted to.
+        ways: of finding each.
+        turns: the model and the likeliest forces by turns, and data with those.
+        grown: from nothing so far before; on the same rows it would grow just so again.
+    """
+    if grown is not None and _same_rows(grown.data, data):
+        told = replace(grown.told, blocks=data.blocks)
+        return step_at(grown.parameters, told), told
+    step, told, _ = turns(step)
+    for way in ways:
+        larger = with_weak_mode(step, told, by=way)
+        step = step if larger is None else refine(larger, told, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
+        step, told, _ = turns(step)
+    return step, told
+
+
+def _same_rows(one: OutputError, other: OutputError) -> bool:
+    """Whether all samples are the same, and count as much."""
+    own, others = (
+        [*data.rows, *data.measured, *(part for record in data.records for part in (record.inputs, record.outputs))]
+        for data in (one, other)
+    )
+    same = len(own) == len(others) and all(map(np.array_equal, own, others))
+    return same and (one.n_direct, one.elsewhere) == (other.n_direct, other.elsewhere)
 
 
 def with_weak_mode(

@@ -303,6 +303,7 @@ def _refined(
         trial.refinement_steps,
         weak_modes=trial.weak_modes,
         answers=trial.answers,
+        grown=trial.grown,
         evidence=largest_model(fitted, trial.model_order),
         n_rest=n_rest,
         by=by,

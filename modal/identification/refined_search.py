@@ -25,6 +25,7 @@ from modal.estimation.cross_validation import (
     WITHIN,
     Folds,
     Ground,
+    Grown,
     Trial,
     corner,
     scaled_model,
@@ -40,6 +41,7 @@ from modal.estimation.modal_parameters import (
     nothing_yet,
     starting_parameters,
     with_weak_mode,
+    with_weak_modes,
 )
 from modal.estimation.modal_states import blocks_by_turns, blocks_of, blocks_of_answers
 from modal.estimation.output_error import (
@@ -185,14 +187,14 @@ def _pursued(
         turns: the model and the likeliest forces by turns, and data with those.
     """
     trials: list[Trial] = []
-    step: RefinementStep | None = nothing_yet(data)
+    following, step = data, nothing_yet(data)
     best, without_gain = None, 0
     most = FURTHER_ORDERS[-1] if len(model_orders) > 1 else model_orders[0]
     while 2 * len(trials) + 2 <= most and without_gain < PATIENCE:
-        step = None if step is None else with_weak_mode(step, data, by="blow")
-        if step is None:
+        larger = with_weak_mode(step, data, by="blow")
+        if larger is None:
             break
-        step = refine(step, data, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
+        step = refine(larger, data, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
         step, data, _ = turns(step)
         errors = []
         for fold in range(len(shop.ground.folds)):
@@ -201,7 +203,7 @@ def _pursued(
             errors.append(last.block_errors())
         n = len(trials) + 1
         made = trial_of(*observer, 2 * n, errors, shop.ground.power, refinement_steps=MOST_STEPS, weak_modes=n)
-        trials.append(made)
+        trials.append(replace(made, grown=Grown(parameters=step.parameters, data=following, told=data)))
         gains = best is None or significantly_worse(best, made)
         if made.model_order > max(model_orders):  # the last few together take more than what counts as equal
             gains = gains and trials[-1 - MOST_WEAK_MODES :][0].error > WITHIN * made.error
@@ -465,6 +467,7 @@ def refined_model(
     *,
     weak_modes: int = 0,
     answers: int = 0,
+    grown: Grown | None = None,
     evidence: Realisation | None = None,
     least_gain: float = SMALLEST_GAIN,
     n_rest: int = 0,
@@ -481,6 +484,7 @@ def refined_model(
         n_steps: as chosen on held-out rows; `MOST_STEPS` means until it stands still.
         weak_modes: modes to add from what the refined model leaves over.
         answers: find the last so many of them by their answers.
+        grown: the model that has grown so far from nothing; it does not grow again on the same rows.
         evidence: realisation of the order that includes them, whose Hankel factors the result keeps; `start` unless
             given.
         least_gain: relative decrease of the error by a step below which it is the last.
@@ -511,12 +515,9 @@ def refined_model(
     following = set_aside(data, beside) if struck and by == "rows" else data  # no mode is of what a filter rings on
     turns = partial(by_turns, data=following, aside=beside, variances=of_forces, least_gain=GROWS_ON)
     last = refine(first, following, n_steps=most, least_gain=least_gain)[-1] if start.order else first
-    last, told, _ = turns(last)
-    for i in range(weak_modes):
-        driven: Proposal = "observer" if i < weak_modes - answers else "answer"
-        larger = with_weak_mode(last, told, by="blow" if by == "rows" else driven)
-        last = last if larger is None else refine(larger, told, n_steps=GROWS_AFTER, least_gain=GROWS_ON)[-1]
-        last, told, _ = turns(last)
+    driven: list[Proposal] = ["observer" if i < weak_modes - answers else "answer" for i in range(weak_modes)]
+    ways: list[Proposal] = ["blow" for _ in driven] if by == "rows" else driven
+    last, told = with_weak_modes(last, following, ways, turns, grown)
     told = replace(told, measured=data.measured, elsewhere=data.elsewhere)
     if weak_modes or following is not data:
         last = refine(step_at(last.parameters, told), told, n_steps=most, least_gain=least_gain)[-1]
@@ -532,13 +533,8 @@ def refined_model(
             )
         own_ratio = whiteness_ratio(likeliest.step, likeliest.data)
         if own_ratio <= WHITE or by == "rows":
-            last, data, weights, record_scale = (
-                likeliest.step,
-                likeliest.data,
-                likeliest.weights,
-                likeliest.record_scale,
-            )
-            ratio = own_ratio
+            last, data, ratio = likeliest.step, likeliest.data, own_ratio
+            weights, record_scale = likeliest.weights, likeliest.record_scale
     realisation = in_units(last, start if evidence is None else evidence, scaling)
     n_parts = len(data.blocks)
     if by == "rows" and not ratio <= WHITE:

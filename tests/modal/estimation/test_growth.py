@@ -8,7 +8,14 @@ import scipy
 from systems import modal_system, simulate
 
 from era.realisation import Realisation
-from modal.estimation.modal_parameters import errors_of, nothing_yet, starting_parameters, with_weak_mode
+from modal.estimation.cross_validation import Grown
+from modal.estimation.modal_parameters import (
+    errors_of,
+    nothing_yet,
+    starting_parameters,
+    with_weak_mode,
+    with_weak_modes,
+)
 from modal.estimation.modal_states import blocks_of
 from modal.estimation.output_error import OutputError, refine, step_at
 from okid.record import Record
@@ -69,6 +76,22 @@ def test_errors_are_those_of_the_run_and_hidden_where_held_out(case):
     assert np.isnan(error[1000:2000]).all()
     np.testing.assert_array_equal(error[np.r_[:1000, 2000:4000]], every[np.r_[:1000, 2000:4000]])
     np.testing.assert_allclose((every**2).sum(axis=0), step.linear.squared_errors, rtol=1e-8)
+
+
+def test_what_grew_on_the_same_rows_before_is_taken_as_it_is_and_on_others_grows_anew(case):
+    _, data, _ = case
+    record = data.records[0]
+    other = replace(data, records=(replace(record, outputs=record.outputs[::-1].copy()),))
+    ways = ["answer", "answer"]
+    plain, told = with_weak_modes(nothing_yet(data), data, ways, lambda step: (step, data, ()))
+    assert plain.parameters.poles.size == 2
+    grown = Grown(parameters=plain.parameters, data=data, told=told)
+    again, _ = with_weak_modes(nothing_yet(data), data, [], lambda step: (step, data, ()), grown)
+    np.testing.assert_array_equal(again.parameters.poles, plain.parameters.poles)
+    np.testing.assert_allclose(again.error, plain.error, rtol=1e-12)
+    anew, _ = with_weak_modes(nothing_yet(other), other, ways, lambda step: (step, other, ()), grown)
+    expected, _ = with_weak_modes(nothing_yet(other), other, ways, lambda step: (step, other, ()))
+    np.testing.assert_array_equal(anew.parameters.poles, expected.parameters.poles)
 
 
 def test_nothing_is_added_where_nothing_acts_or_no_row_counts(case):
