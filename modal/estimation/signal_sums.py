@@ -3,8 +3,8 @@
 All sums over rows that a Gauss-Newton step and its linear part need are products of the signals of
 `modal.estimation.modal_states`, so a record is passed once and only its Gram matrices are kept: of all signals over the
 rows that train, of those that are linear over each block of rows that is held out; of several choices of the rows where
-outputs were not all measured in the same ones. States are sums of sensitivities, and many sensitivities are not
-multiplied with each other, but follow from what drives them.
+outputs were not all measured in the same ones. Many sensitivities are not multiplied with each other, but follow from
+what drives them.
 """
 
 from collections.abc import Callable, Sequence
@@ -96,8 +96,6 @@ def _all_of(places: IndexArray, size: int) -> tuple[slice, slice] | tuple[IndexA
 class _Total:
     """Products of all signals over the rows of a record that count and train, added up.
 
-    States are sums of sensitivities, x = sum over j of b_j dx/db_j + x0 dx/dx0, so their products follow.
-
     Attributes:
         driven: the record's model.
         rows: (n_samples,) that count.
@@ -106,7 +104,7 @@ class _Total:
         runs: of `counted`, first row and one past the last.
         together: whether rows are copied together, because some are missing or they take turns.
         apart: blocks that are held out, and the products of what is known of each, over its rows that count.
-        gram: (n, n) of all but the states in the order of `driven`; empty where there are `sums`.
+        gram: (n_signals, n_signals) in the order of `driven`; empty where there are `sums`.
         sums: in its place, where products follow from each other.
     """
 
@@ -131,7 +129,7 @@ class _Total:
         runs = runs_of(counted)
         many = driven.others.start >= FEWEST_SIGNALS and counted.sum() >= FEWEST_ROWS * len(runs)
         follow = many and 2 * (near := _near(driven.poles)).sum() < near.size
-        size = 0 if follow else driven.others.stop
+        size = 0 if follow else driven.n_signals
         return cls(
             driven=driven,
             rows=rows,
@@ -156,7 +154,7 @@ class _Total:
                 own = np.ascontiguousarray(own) if block.step > 1 else own  # BLAS takes no steps within a signal
                 total += own @ own.T  # noqa: PLW2901
         over = self.driven.n_over(start)
-        moving = signals[over : self.driven.others.stop]
+        moving = signals[over:]
         if self.together:
             chosen = [np.compress(self.counted[start:stop], moving, axis=1)]
         else:
@@ -176,23 +174,8 @@ class _Total:
         """(size, size) in the order of the layout."""
         if self.sums is not None:
             return self.sums.gram()
-        driven, stop = self.driven, self.driven.others.stop
-        gram = np.empty((driven.n_signals, driven.n_signals))
-        gram[:stop, :stop] = self.gram
-        gram[stop:, :stop] = self._of_states(self.gram)
-        gram[:stop, stop:] = gram[stop:, :stop].T
-        gram[stop:, stop:] = self._of_states(gram[:stop, stop:])
-        return gram[np.ix_(driven.places, driven.places)]
-
-    def _of_states(self, products: FloatArray) -> FloatArray:
-        """(2 n_poles, n) products of states with whatever, from (n_signals - 2 n_poles, n) of all other signals."""
-        driven = self.driven
-        moving = products[: driven.others.start].reshape(driven.n_families, 2, driven.poles.size, products.shape[1])[
-            :-1
-        ]
-        by = np.vstack([driven.start, driven.participations.T])
-        states = np.einsum("fn,fns->ns", by, moving[:, 0] + 1j * moving[:, 1])
-        return np.vstack([states.real, states.imag])
+        places = self.driven.places
+        return self.gram[np.ix_(places, places)]
 
 
 def _near(poles: ComplexArray) -> BoolArray:
@@ -217,7 +200,7 @@ class _Sums:
         near: (2, n_near) first and second pole of pairs that hardly die out, the first no later than the second.
         runs: first row and one past the last.
         partners: (n_sensitivities, n_partners) sums of real signals with their partners, added up.
-        squares: (n_partners, n_partners) products of partners.
+        squares: (n_partners + 2 n_poles, same) products of partners and states.
         ends: (2, n_runs, 2 + n_inputs, n_poles) sensitivities at the first row of a run, and after its last.
         direct: (n_near, 2 n_families, 2 n_families) of real signals, where near.
     """
@@ -240,7 +223,7 @@ class _Sums:
             near=pairs,
             runs=runs,
             partners=np.zeros((n_own * n, len(driven.partners))),
-            squares=np.zeros((len(driven.partners), len(driven.partners))),
+            squares=np.zeros(2 * (driven.n_signals - driven.others.start,)),
             ends=np.zeros((2, len(runs), 2 + m, n), dtype=np.complex128),
             direct=np.zeros((pairs.shape[1], n_own, n_own)),
         )
@@ -248,9 +231,9 @@ class _Sums:
     def add(self, signals: FloatArray, over: int) -> None:
         """Rows that train, of all signals but the first ones, which are zero."""
         n, size = self.driven.poles.size, len(self.partners) - over
-        own, partners = signals[:size], signals[size:]
-        self.partners[over:] += own @ partners.T
-        self.squares[:] += partners @ partners.T
+        own, others = signals[:size], signals[size:]
+        self.partners[over:] += own @ others[: self.partners.shape[1]].T
+        self.squares[:] += others @ others.T
         alive = self.direct[:, over // n :, over // n :]
         for total, i, j in zip(alive, *self.near.tolist(), strict=True):
             total += own[i::n] @ own[j::n].T  # noqa: PLW2901
@@ -275,13 +258,12 @@ class _Sums:
         into = np.roll(np.arange(m), layout.n_direct)  # as in the layout: those that act at once first
         order = np.array([1 + m, *range(1, 1 + m), 0])  # families of the layout
         partners = self.partners.reshape(2 + m, 2, n, -1)[order].swapaxes(0, 1)
-        sums, by = partners[0] + 1j * partners[1], np.vstack([driven.participations.T, driven.start])
         d = self.direct.reshape(-1, 2 + m, 2, 2 + m, 2)[:, order][:, :, :, order]
         products_of = partial(
             _products,
             driven.poles,
-            by,
-            sums=sums[:, :, into],
+            np.vstack([driven.participations.T, driven.start]),
+            sums=(partners[0] + 1j * partners[1])[:, :, into],
             ends=self.ends[:, :, order],
             squares=self.squares[np.ix_(into, into)],
             near=self.near,
@@ -293,24 +275,21 @@ class _Sums:
         upper *= 0.5
         lower = upper - plain
         gram = np.empty((layout.size, layout.size))
-        states, imaginary_states = slice(0, n), slice(n, 2 * n)
-        rows = [(states, imaginary_states), (layout.real, layout.imaginary)]
-        first = 0
-        for real, imaginary in rows:
-            last = first + real.stop - real.start
-            for (columns, imaginary_columns), own in zip(rows, (slice(0, n), slice(n, None)), strict=True):
-                gram[real, columns] = upper[first:last, own].real
-                gram[imaginary, columns] = upper[first:last, own].imag
-                gram[imaginary, imaginary_columns] = lower[first:last, own].real
-                np.negative(lower[first:last, own].imag, out=gram[real, imaginary_columns])
-            first = last
-        by_states = np.einsum("fn,fnp->np", by, sums[1:])
-        moving = np.vstack([by_states.real, by_states.imag, partners.reshape(-1, partners.shape[-1])])
-        known = np.r_[2 * n : layout.n_regressors, layout.outputs]
-        here = np.r_[0 : 2 * n, layout.real.start : layout.imaginary.stop]
-        away = slice(m - layout.n_direct, None)
-        gram[np.ix_(here, known)], gram[np.ix_(known, here)] = moving[:, away], moving[:, away].T
-        gram[np.ix_(known, known)] = self.squares[away, away]
+        states, sensitivities = (slice(0, n), slice(n, 2 * n)), (layout.real, layout.imaginary)
+        for columns, own in ((states, slice(0, n)), (sensitivities, slice(n, None))):
+            gram[layout.real, columns[0]] = upper[:, own].real
+            gram[layout.imaginary, columns[0]] = upper[:, own].imag
+            gram[layout.imaginary, columns[1]] = lower[:, own].real
+            np.negative(lower[:, own].imag, out=gram[layout.real, columns[1]])
+        both = slice(layout.real.start, layout.imaginary.stop)
+        with_known = partners.reshape(both.stop - both.start, -1)[:, m - layout.n_direct :]
+        gram[both, 2 * n : layout.n_regressors] = with_known[:, : layout.n_direct + 1]
+        gram[both, layout.outputs] = with_known[:, layout.n_direct + 1 :]
+        for rest in (layout.regressors, layout.outputs):
+            gram[rest, both] = gram[both, rest].T
+        known = np.r_[layout.regressors, layout.outputs]
+        at = driven.places[known] - driven.others.start
+        gram[np.ix_(known, known)] = self.squares[np.ix_(at, at)]
         return gram
 
 
@@ -325,7 +304,7 @@ def _products(
     near: IndexArray,
     turn: Callable[[ComplexArray], ComplexArray],
 ) -> ComplexArray:
-    """(n_poles + n_sensitivities, same) products of states and sensitivities with each other.
+    """(n_sensitivities, n_poles + n_sensitivities) products of sensitivities with states and with sensitivities.
 
     Args:
         poles: (n_poles,).
@@ -367,8 +346,8 @@ def _products(
     behind = turn(ahead).T
     twice = (both_poles * (ahead + behind + states) + gone(0, 0)) / left
     twice[first, second] = direct[:, 0, 0]
-    found = np.empty((3 + m, n, 3 + m, n), dtype=np.complex128)
-    found[0, :, 0], found[0, :, 1], found[0, :, 2:] = states, ahead, turn(with_states).transpose(2, 0, 1)
-    found[1, :, 0], found[1, :, 1], found[1, :, 2:] = behind, twice, turn(to_poles).transpose(2, 0, 1)
-    found[2:, :, 0], found[2:, :, 1], found[2:, :, 2:] = with_states, to_poles, base
-    return found.reshape((3 + m) * n, -1)
+    found = np.empty((2 + m, n, 3 + m, n), dtype=np.complex128)
+    found[0, :, 0], found[1:, :, 0] = behind, with_states
+    found[0, :, 1], found[1:, :, 1] = twice, to_poles
+    found[0, :, 2:], found[1:, :, 2:] = turn(to_poles).transpose(2, 0, 1), base
+    return found.reshape((2 + m) * n, -1)
