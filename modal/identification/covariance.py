@@ -208,7 +208,8 @@ def _of_records(model: RefinedModel, variances: FloatArray, degrees_of_freedom: 
         for gram, outputs in zip(grams, together, strict=True):
             size = sizes_of(gram)
             values, vectors = np.linalg.eigh(gram / np.outer(size, size))
-            root = size[:, np.newaxis] * vectors * np.sqrt(np.maximum(values, 0.0))
+            # the symmetric root: eigenvectors turn with rounding, and what is drawn along them with it
+            root = size[:, np.newaxis] * ((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
             made = np.einsum("st,kto->kso", root, drawn[..., outputs]) * np.sqrt(variances[number, outputs])
             products[:, places[:, np.newaxis], outputs] += made
     return _pulled(model, products / np.sqrt(N_RECORD_DRAWS), degrees_of_freedom)
