@@ -84,7 +84,8 @@ def test_what_is_left_runs_with_sums_of_the_inputs_of_integrators():
     for row, pull in zip(speeds, torque, strict=True):
         row[:] = C @ state
         state = A @ state + B[:, 0] * pull
-    result = modal.identify(Record(torque, speeds + 0.002 * rng.standard_normal(speeds.shape), 0.01))
+    record = Record(torque, speeds + 0.002 * rng.standard_normal(speeds.shape), 0.01)
+    result = modal.identify(record, observer_order=64, ridge=0.0, order=5)
     assert next(choice.value for choice in result.choices if choice.what == "integrators") == "one"
     (shown,) = result.modes.system
     noise = [number for number, mode in numbered(result.modes) if mode.verdict == "noise" and mode.damping_ratio < 0.5]

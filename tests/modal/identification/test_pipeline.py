@@ -151,7 +151,7 @@ def test_several_records_gaps_offsets_and_units():
     inputs, outputs = records[0].inputs.copy(), records[0].outputs.copy()
     inputs[700:704, 1] = outputs[200:215, 0] = outputs[950, 1] = np.nan
     records[0] = replace(records[0], inputs=inputs, outputs=outputs)
-    result = identify(records, ridge=1e-5)
+    result = identify(records, observer_order=32, ridge=1e-5, order=4)
     check_modes(result, system)
     assert [record.n_samples for record in result.records] == [700, 596, 1300]
     assert choice(result, "input gaps").value == "3 records from 2"
