@@ -98,12 +98,12 @@ def test_the_frame_is_integrated_right():
 
 
 def test_a_short_frame_story_finds_storey_play_and_stiffness(tmp_path, monkeypatch, capsys):
-    """A second and a half a record, through the command, with the files."""
+    """Less than a second a record, through the command, with the files."""
     frame, whole = Frame(), loose_joint.study
     found = []
 
     def short(given, rng):
-        found.append(whole(given, rng, n_samples=300))
+        found.append(whole(given, rng, n_samples=200))
         return found[0]
 
     monkeypatch.setattr(loose_joint, "study", short)

@@ -177,7 +177,7 @@ def test_blows_that_are_answered_each_in_its_own_way_are_told_from_noise_of_the_
             moved += wind * np.outer(blown, shape)
         moved += 0.001 * moved.std(axis=0) * rng.standard_normal(moved.shape)
         record = Record(force[:, np.newaxis] + 0.003 * rng.standard_normal((n, 1)), moved, 0.005)
-        result = identify(record, observer_order=100, ridge=1e-4, order=24 if scatter else 4)
+        result = identify(record, observer_order=100, ridge=1e-4, order=12 if scatter else 4)
         told = [words for words in result.warnings if words.startswith("Each blow is answered in its own way")]
         said += len(told)
         assert scatter or wind or not result.warnings
