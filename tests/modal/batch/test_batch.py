@@ -21,6 +21,7 @@ import modal
 import okid
 from modal.batch import Batch, ExecutorError, running, task
 from modal.batch.running import WorkerDiedError, Workers
+from modal.command import many
 from modal.command.main import status as _status
 from modal.report import folder
 from okid import gram
@@ -162,7 +163,9 @@ def test_a_batch_looks_for_what_dead_runs_left_as_often_whatever_its_size(tmp_pa
         looks.clear()
 
 
-def test_failures_are_results_with_a_sentence_and_exit_1(runs, tmp_path, capsys):
+def test_failures_are_results_with_a_sentence_and_exit_1(known, runs, tmp_path, capsys, monkeypatch):
+    """By the command, with a thread for its processes: those are asked where one dies."""
+    monkeypatch.setattr(many, "Workers", ThreadPoolExecutor)
     (runs / "empty.csv").write_text("")
     (runs / "cut.csv").write_text((runs / "run_1.csv").read_text()[:200])
     (runs / "twin.csv").write_bytes((runs / "run_0.csv").read_bytes())
