@@ -101,7 +101,7 @@ def test_an_output_at_every_twentieth_row_shows_the_states_of_the_others(seed):
     wave = np.exp(-0.004 * 2 * np.pi * frequency * times) * np.cos(2 * np.pi * frequency * times)
     outputs = wave[:, np.newaxis] * [1.0, 0.6] + 2e-3 * rng.standard_normal((1400, 2))
     outputs[np.arange(1400) % 20 != 0, 1] = np.nan
-    result = modal.identify(Record([], outputs, 0.02), kind="decay")
+    result = modal.identify(Record([], outputs, 0.02), kind="decay", observer_order=64, ridge=0.0)
     near = [mode for mode in result.modes if abs(mode.frequency / frequency - 1) < 1e-3 and mode.verdict != "noise"]
     assert len(near) == 1
     assert abs(near[0].shape[1] / near[0].shape[0]) == pytest.approx(0.6, rel=0.02)
@@ -115,7 +115,7 @@ def test_images_of_rows_that_outputs_do_not_share_are_not_certain(seed):
     wave = np.exp(-0.01 * 2 * np.pi * frequency * times) * np.cos(2 * np.pi * frequency * times)
     outputs = wave[:, np.newaxis] * [1.0, 0.6] + 2e-3 * np.random.default_rng(seed).standard_normal((700, 2))
     outputs[gone("by turns", 700)] = np.nan
-    result = modal.identify(Record([], outputs, 0.02), kind="decay")
+    result = modal.identify(Record([], outputs, 0.02), kind="decay", observer_order=64, ridge=0.0)
     assert not [mode for mode in result.modes.system if mode.frequency > 12.5]
     assert not [mode for mode in result.modes.system if abs(mode.frequency / frequency - 1) > 0.01]
 

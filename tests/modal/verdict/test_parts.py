@@ -112,7 +112,7 @@ def test_modes_that_a_sweep_passes_in_one_tenth_of_the_record_are_found_in_both_
 
 def test_a_sweep_that_nothing_follows_shows_no_mode():
     """A model of the noise without a state of the system ended in a traceback."""
-    result = identify(swept_past(4, frequencies=(), duration=5.0, colour=0.8))
+    result = identify(swept_past(4, frequencies=(), duration=5.0, colour=0.8), observer_order=8, ridge=0.9)
     assert not of_system(result)
 
 

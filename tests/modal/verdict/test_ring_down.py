@@ -62,10 +62,10 @@ def bent(records, left, modes=()):
     return None if contest is None else contest.bent
 
 
-def identified(x, noise=1e-3, *, seed=1, dt=DT):
+def identified(x, noise=1e-3, *, seed=1, dt=DT, **given):
     outputs = np.reshape(x, (len(x), -1))
     outputs = outputs + noise * np.random.default_rng(seed).standard_normal(outputs.shape)
-    return modal.identify(okid.Record([], outputs, dt), kind="decay")
+    return modal.identify(okid.Record([], outputs, dt), kind="decay", **given)
 
 
 def told(result):
@@ -133,7 +133,7 @@ def test_drag_is_told():
 
 
 def test_a_spring_that_hardens_is_told_beside_its_harmonics():
-    result = identified(released(300, cubic=0.3))
+    result = identified(released(300, cubic=0.3), observer_order=45, ridge=0.001)
     (said,) = told(result)
     assert "spring that is not linear" in said
     assert not result.modes.system
@@ -185,7 +185,8 @@ def test_rows_that_are_driven_still_or_missing_tell_nothing():
 def test_no_mode_is_certain_in_a_decay_under_friction():
     x = released(343, w=2 * np.pi * 2.3, z=0.0022, friction=0.0514)
     seen = x + 2.6e-3 * np.random.default_rng(5).standard_normal(343)
-    found = modal.identify(okid.Record([], seen, DT, output_names=["angle"], output_units=["rad"]))
+    record = okid.Record([], seen, DT, output_names=["angle"], output_units=["rad"])
+    found = modal.identify(record, observer_order=45, ridge=0.003)
     assert found.record_kind == "decay"
     assert not found.modes.system
     assert any("does not die away as a mode does" in words for words in found.warnings)
@@ -350,7 +351,7 @@ def rings(n_samples, *modes, dt=0.01):
 def test_a_close_pair_takes_no_certainty_from_another_mode():
     """One of the two poles of a pair is called the second of one resonance, although it was found again."""
     close = rings(1000, (4.751, 0.008, 1.0, 0.3), (4.799, 0.012, 1.0, 2.0), (27.367, 0.01, 0.5, 1.0))
-    result = identified(close, 5e-3, dt=0.01)
+    result = identified(close, 5e-3, dt=0.01, observer_order=23, ridge=0.001)
     assert min(abs(mode.frequency - 27.367) for mode in result.modes.system) < 0.05
     assert not told(result)
 
@@ -497,7 +498,7 @@ def test_samples_that_were_filled_are_no_evidence(missing, seed):
     outputs = released(343, w=2 * np.pi * 2.3, friction=0.0514, start=(1.0, 0.0)) + 2.6e-3 * rng.standard_normal(343)
     outputs[rng.random(343) < missing] = np.nan
     outputs[0] = 1.0
-    found = modal.identify(okid.Record([], outputs, DT), kind="decay")
+    found = modal.identify(okid.Record([], outputs, DT), kind="decay", observer_order=64, ridge=3e-6)
     assert not [mode for mode in found.modes.modes if mode.verdict == "system"]
     (said,) = told(found)
     assert line(said) == pytest.approx(2.3, rel=2e-3)
