@@ -50,7 +50,7 @@ def in_half_of_the_band(seed):
     return answered(rng, wave / wave.std())
 
 
-@pytest.mark.parametrize("order", [7, 12])
+@pytest.mark.parametrize("order", [7, pytest.param(12, marks=pytest.mark.slow)])
 def test_half_of_the_band_shows_its_modes_and_no_others_whatever_poles_are_left_over(order):
     """Halves and other orders were cut from what no input drives: none of the three modes was found again."""
     result = identify(in_half_of_the_band(1), observer_order=60, ridge=0.0, order=order, input_delay=0)
