@@ -110,7 +110,7 @@ def test_tables_hold_every_mode_of_every_record(sequential):
     assert not parts(sequential.folder)
 
 
-def test_executors_leave_the_same_bytes(runs, sequential, tmp_path):
+def test_executors_leave_the_same_bytes(known, runs, sequential, tmp_path):
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as executor:
         modal.identify_batch(str(runs / "*.csv"), tmp_path / "pool", executor=executor, **QUICK)
     with ThreadPoolExecutor(1) as executor:

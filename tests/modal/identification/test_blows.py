@@ -73,7 +73,7 @@ def test_what_a_blow_does_beyond_its_samples_moves_no_pole():
     assert np.nanmedian(without) > 3.0
 
 
-@pytest.mark.parametrize("n_rows", [3, 20])
+@pytest.mark.parametrize("n_rows", [3, pytest.param(20, marks=pytest.mark.slow)])
 def test_errors_that_go_on_after_a_blow_are_not_put_apart(n_rows):
     """As of what is not linear; a blow may act for as long as the structure remembers it."""
     rng, truth = three_modes(3, n_inputs=1)
