@@ -17,11 +17,9 @@ from modal.verdict.probability import LEAST_HEIGHT, peak_doubt
 from okid.record import Record
 
 
-def identified(family, seed, observer_order, order, *, ridge=0.0, **changes):
-    """Orders are those that a search takes: what is asked here comes after it."""
+def identified(family, seed, **changes):
     made = FAMILIES[family](seed, **changes)
-    record = Record(made.inputs, made.outputs, made.dt)
-    return made, identify(record, observer_order=observer_order, ridge=ridge, order=order)
+    return made, identify(Record(made.inputs, made.outputs, made.dt))
 
 
 def called(made, result):
@@ -31,19 +29,19 @@ def called(made, result):
 
 
 def test_tones_make_no_mode():
-    _, result = identified("tones", 2, 46, 10, ridge=3e-6, n_samples=3000)
+    _, result = identified("tones", 2, n_samples=3000)
     assert result.modes.system == ()
     assert any("hardly more than" in warning for warning in result.warnings)
 
 
 def test_what_rings_between_the_tones_is_a_mode():
-    made, result = identified("stepped_sine", 1, 22, 6, n_samples=4000)
+    made, result = identified("stepped_sine", 1, n_samples=4000)
     assert called(made, result) == made.frequencies.size == len(result.modes.system)
 
 
 @pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_noise_as_large_as_the_motion_takes_no_mode_away(seed):
-    made, result = identified("low_fit", seed, 128, 5, n_samples=4000)
+    made, result = identified("low_fit", seed, n_samples=4000)
     assert result.fit.mean < 0.5
     assert called(made, result) == made.frequencies.size == len(result.modes.system)
     assert "The modes hold all the same: each is judged by itself" in " ".join(result.warnings)
@@ -53,8 +51,7 @@ def test_noise_as_large_as_the_motion_takes_no_mode_away(seed):
 def test_noise_as_large_as_the_motion_takes_no_mode_away_where_no_input_was_measured():
     made = FAMILIES["ambient"](3, n_samples=5000)
     noise = np.random.default_rng(3).standard_normal(made.outputs.shape) * made.outputs.std(axis=0)
-    noisy = Record(made.inputs, made.outputs + noise, made.dt)
-    result = identify(noisy, observer_order=64, ridge=0.01, order=10)
+    result = identify(Record(made.inputs, made.outputs + noise, made.dt))
     assert result.fit.mean < 0.4
     assert called(made, result) >= made.frequencies.size - 1
     assert all(
@@ -64,7 +61,7 @@ def test_noise_as_large_as_the_motion_takes_no_mode_away_where_no_input_was_meas
 
 
 def test_very_light_damping_is_called():
-    made, result = identified("light_damping", 3, 64, 6, n_samples=2500)
+    made, result = identified("light_damping", 3, n_samples=2500)
     assert called(made, result) == made.frequencies.size
 
 
@@ -203,8 +200,7 @@ def test_the_edge_of_a_filter_is_no_mode():
         motion += np.outer(own / own.std(), rng.standard_normal(2))
     motion += 0.03 * rng.standard_normal(motion.shape)
     steep = scipy.signal.ellip(8, 0.1, 80.0, 0.66, output="sos")
-    record = Record([], scipy.signal.sosfilt(steep, motion, axis=0), 0.01)
-    result = identify(record, observer_order=23, ridge=3e-8)
+    result = identify(Record([], scipy.signal.sosfilt(steep, motion, axis=0), 0.01))
     np.testing.assert_allclose([mode.frequency for mode in result.modes.system], [8.0, 22.0], rtol=0.01)
     assert any(mode.reason.startswith("no peak stands") for mode in result.modes)
 
@@ -253,7 +249,7 @@ def sweep_and_answer(seed, end):
 
 def test_a_mode_that_a_sweep_passes_at_its_end_is_one():
     """The record is over before a window that fades out sees its answer: it was doubtful, "may be chance"."""
-    result = identify(sweep_and_answer(3, 80.0), observer_order=6, ridge=3e-6, order=7)
+    result = identify(sweep_and_answer(3, 80.0))
     assert [round(mode.frequency, 1) for mode in result.modes.system] == [12.0, 40.0, 79.2]
 
 
