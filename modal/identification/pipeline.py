@@ -56,14 +56,13 @@ from modal.preparation.quick_model import left_alone_and_together
 from modal.preparation.rest import RELEASED, released
 from modal.preparation.steps import Preparation, prepare
 from modal.verdict.constancy import fading, unsteady_drive, with_changes
-from modal.verdict.envelope import told_of_lines_beside, told_of_steady_lines
 from modal.verdict.excitation import between_lines, beyond_inputs, by_chance, driven_gain, ringing
 from modal.verdict.filled import filled_words, seen_alone, told_where_measured
 from modal.verdict.judgement import Answer, judge
 from modal.verdict.linearity import Powers, powers_of_motion
-from modal.verdict.peak import standing_out
 from modal.verdict.probability import FILTER_EDGE
 from modal.verdict.repeatability import repeat
+from modal.verdict.resonance import standing_out, told_of_lines_beside, told_of_steady_lines
 from modal.verdict.ring_down import told_of_ring_down
 from okid.arrays import BoolArray, FloatArray, listener, one_blas_thread, whole_number
 from okid.errors import IdentificationError, InvalidDataError

@@ -267,8 +267,8 @@ def judge(
         chance: (n_modes,) how often outputs that know nothing of the inputs follow them as well at each mode; None
             where unknown.
         clipped: (n_modes, n_outputs) share of the power in each mode's band that clipping makes; None where unknown.
-        height: (n_modes,) times the power beside it that a mode has without inputs (`modal.verdict.peak`); None where
-            unknown.
+        height: (n_modes,) times the power beside it that a mode has without inputs (`modal.verdict.resonance`); None
+            where unknown.
         chance_line: (n_modes,) whether inputs explain an undamped line no better than chance; None where not asked.
         ringing: (n_modes,) F ratio of what each mode does when the inputs are over (`modal.verdict.excitation`); None
             where the records are no answers to blows or releases.

@@ -134,7 +134,7 @@ def peak_doubt(mode: Mode, height: float, duration: float) -> tuple[str, ...]:
 
     Args:
         mode: from the whole record.
-        height: times the power beside it (`modal.verdict.peak.standing_out`); nan where unknown.
+        height: times the power beside it (`modal.verdict.resonance.standing_out`); nan where unknown.
         duration: of the longest record [s], which tells no peak narrower than a few times 1 / duration.
     """
     if height < LEAST_HEIGHT:

@@ -8,7 +8,7 @@ import scipy.signal
 
 from modal.identification.pipeline import identify
 from modal.modes.mode import ModalModel, Mode
-from modal.verdict.envelope import steady_lines, told_of_lines_beside, told_of_steady_lines
+from modal.verdict.resonance import steady_lines, told_of_lines_beside, told_of_steady_lines
 from okid.record import Record
 
 DT = 0.01

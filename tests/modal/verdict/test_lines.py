@@ -12,8 +12,8 @@ from modal.identification.pipeline import identify
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import ModalModel, Mode
 from modal.verdict.excitation import between_lines, beyond_inputs, line_doubt
-from modal.verdict.peak import standing_out
 from modal.verdict.probability import LEAST_HEIGHT, peak_doubt
+from modal.verdict.resonance import standing_out
 from okid.record import Record
 
 
