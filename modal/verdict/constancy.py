@@ -393,9 +393,14 @@ def fading(model: Realisation, records: Sequence[Record], left: Sequence[FloatAr
         strikes = widened(acting).any(axis=1)
         there = np.where(np.isfinite(record.outputs), errors, np.nan)
         quiet = ~strikes & (np.arange(strikes.size) >= strikes.argmax())
+        whole: BoolArray = np.asarray(np.isfinite(there).all(axis=1))
+        enough = max(PARTS_OF_BLOW * LEAST_ROWS, model.order, record.n_outputs + record.n_inputs)
         rows = [slice(*run) for run in runs_of(quiet)]
-        parts = [Record(np.zeros_like(record.inputs[own]), there[own], record.dt) for own in rows]
-        after += [part for part in parts if part.complete_rows().sum() > max(PARTS_OF_BLOW * LEAST_ROWS, model.order)]
+        after += [
+            Record(np.zeros_like(record.inputs[own]), there[own], record.dt)
+            for own in rows
+            if whole[own].sum() > enough
+        ]
     if not after:
         return 1.0
     rest = [own[np.isfinite(own).all(axis=1)] for own in model_runs(model, after).left]

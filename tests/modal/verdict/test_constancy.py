@@ -245,3 +245,11 @@ def test_missing_samples_tell_nothing_of_what_is_left():
     assert fading(model, [Record(record.inputs, gap, DT)], [np.where(np.isnan(gap), 1e9, left)]) == pytest.approx(
         fading(model, [record], [left]), rel=0.2
     )
+
+
+def test_rows_between_a_hit_and_its_rebound_tell_nothing():
+    """They are too few to be a record."""
+    model, record, noise = struck(1)
+    force = record.inputs[:, 0].copy()
+    force[4] = 0.5  # both are widened by their own length: one row between
+    assert fading(model, [Record(force, record.outputs, DT)], [noise]) == 1.0
