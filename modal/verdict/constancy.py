@@ -406,7 +406,7 @@ def fading(model: Realisation, records: Sequence[Record], left: Sequence[FloatAr
     rest = [own[np.isfinite(own).all(axis=1)] for own in model_runs(model, after).left]
     together = np.vstack(rest)
     steps = [resolution_of(one) for one in channels_of(records, channel_scaling(records)) if one.role == "output"]
-    largest = np.nanmax([np.nanmax(np.abs(one.outputs), axis=0) for one in records], axis=0)
+    largest = np.fmax.reduce([np.fmax.reduce(np.abs(one.outputs), axis=0) for one in records])
     floor = np.square(np.nan_to_num(np.array(steps))) + np.square(DIGITS * largest)
     power = np.maximum(np.square(together).mean(axis=0) + floor, TINY)
     length = max(LEAST_ROWS, min(len(together) // N_BLOCKS, min(map(len, rest)) // PARTS_OF_BLOW))
