@@ -189,9 +189,9 @@ def test_an_event_without_its_input_is_said():
     assert unsteady_drive([Record(event[:, 0], event, 0.01)], [event]) == ()
 
 
-def struck(n_blows, *, rows=3000, seed=0, level=0.1):
+def struck(n_blows, *, rows=3000, seed=0, level=0.1, damping_ratio=0.01):
     """A model of one mode, its struck records of two outputs, and white noise of each (n_samples, 2)."""
-    pole = np.exp(one_mode(2.0, 0.01)[0].modes[0].pole * DT)
+    pole = np.exp(one_mode(2.0, damping_ratio)[0].modes[0].pole * DT)
     turn = np.array([[pole.real, -pole.imag], [pole.imag, pole.real]])
     model = Realisation(turn, [[1.0], [0.0]], [[1.0, 0.2], [0.5, -0.1]], [[0.0], [0.0]], DT)
     blow = np.zeros(rows)
@@ -228,13 +228,31 @@ def test_noise_and_forces_that_no_sensor_showed_do_not_die_away(n_blows, seed):
 
 
 def test_rounding_does_not_die_away():
-    """Of an analogue-to-digital converter, which shows nothing below its step, and of values with four digits."""
-    model, record, noise = struck(1, level=1e-9)
+    """Of an analogue-to-digital converter, which hides noise below its step, and of values with four digits."""
+    model, record, noise = struck(1, level=0.004, damping_ratio=0.04)
     true = record.outputs - noise
-    levels = 0.05 * np.round(true / 0.05)
+    levels = 0.05 * np.round(record.outputs / 0.05)
     size = 10.0 ** (np.floor(np.log10(np.abs(true) + 1e-12)) - 3)
     for written in (levels, size * np.round(true / size)):
         assert fading(model, [Record(record.inputs, written, DT)], [written - true]) == 1.0
+
+
+def test_what_comes_when_the_motion_stops_is_told():
+    """Under dry friction most is left then, not at once."""
+    model, record, noise = struck(3)
+    after = np.arange(len(noise)) % 1000
+    assert fading(model, [record], [noise * np.where((after > 150) & (after < 500), 2.0, 1.0)[:, None]]) > 1.3
+
+
+def test_gusts_are_not_told_more_often_than_now_and_then():
+    """Of noise whose size wanders neighbouring blocks are alike, and chance makes more."""
+    told, rho = 0, 0.998
+    for seed in range(20):
+        model, record, noise = struck(1, seed=seed)
+        white = np.sqrt(1.0 - rho**2) * np.random.default_rng((seed, 1)).standard_normal(12_000)
+        size = lfilter([1.0], [1.0, -rho], white)[-len(noise) :]
+        told += fading(model, [record], [noise * np.exp(0.5 * size)[:, None]]) > 1.0
+    assert told <= 1
 
 
 def test_missing_samples_tell_nothing_of_what_is_left():
