@@ -43,12 +43,11 @@ from modal.estimation.signal_sums import signal_grams
 from modal.identification.refined_search import RefinedModel
 from modal.modes.modal_form import discrete_poles
 from modal.modes.mode import Mode, Uncertainty
+from modal.verdict.constancy import NO_INTERVAL
 from okid.arrays import ComplexArray, FloatArray
 
 NOT_UNDERSTOOD = 1.3
 """Say that the noise is not understood where it moves a deviation by more: thrice the scatter of the blocks."""
-NO_INTERVAL = 3.0
-"""Give no interval beyond: what the blocks do not see of the noise may be as much again."""
 N_DRAWS = 100
 """Draw noise of the inputs so many times: a deviation is then known to 7 %."""
 N_BLOCK_DRAWS = 10

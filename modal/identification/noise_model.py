@@ -48,14 +48,14 @@ from modal.estimation.prediction_error import (
     promised_criterion,
     share_of,
 )
-from modal.identification.covariance import NO_INTERVAL, NOT_UNDERSTOOD, chance_of_leaving
+from modal.identification.covariance import NOT_UNDERSTOOD, chance_of_leaving
 from modal.identification.order_search import MODEL_ORDERS
 from modal.identification.result import Identification
 from modal.modes.extraction import extract_modes
 from modal.modes.modal_form import ModalBasis, modal_basis
 from modal.modes.mode import Choice, Mode
 from modal.preparation.band import FOLLOWS, chance_at_modes
-from modal.verdict.constancy import drifting_modes
+from modal.verdict.constancy import NO_INTERVAL, drifting_modes
 from modal.verdict.judgement import DOUBTED, doubted
 from modal.verdict.linearity import NOT_LINEAR
 from modal.wording.text import hertz, listed

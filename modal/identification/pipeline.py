@@ -420,17 +420,17 @@ def _identified(
         asked_of_kind = told_of_lines_beside(modes, prepared, rest)
     if kind.kind in ("transient", "decay"):  # a sample that was filled by a linear model tells nothing of another
         rings = seen_alone(prepared, preparation.measured)
+        scale, times = reruns.output_scale, fading(model, rings, left)
         asked_of_kind = told_of_ring_down(
-            modes,
-            rings,
-            left,
-            output_scale=reruns.output_scale,
-            is_decay=kind.kind == "decay",
-            times=fading(model, rings, left),
+            modes, rings, left, output_scale=scale, is_decay=kind.kind == "decay", times=times
         )
-    modes = asked_of_kind.modes
     modes, uncertainty, varying = with_changes(
-        modes, uncertainty, asked if is_driven else (), left_there, output_scale=reruns.output_scale
+        asked_of_kind.modes,
+        uncertainty,
+        asked if is_driven else (),
+        left_there,
+        output_scale=reruns.output_scale,
+        times=asked_of_kind.times,
     )
     powers = powers_of_motion(runs.records, foretold) if final.feedback == "none" else Powers()
     tell("checking residuals", 0.9)

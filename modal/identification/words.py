@@ -18,12 +18,13 @@ import numpy as np
 from era.balanced import HankelDecomposition, order_choice, realise_from
 from era.gain import GainEstimate
 from modal.estimation.cross_validation import WITHIN, Folds, Trial, is_long, stretches_of
-from modal.identification.covariance import NO_INTERVAL, NOT_UNDERSTOOD
+from modal.identification.covariance import NOT_UNDERSTOOD
 from modal.identification.noise_model import NoiseModel
 from modal.identification.order_search import MOST_STEPS, Search
 from modal.identification.result import Identification, OrderEvidence
 from modal.modes.modal_mass import DERIVATIVES
 from modal.modes.mode import Choice, Fit, ModalModel, Mode
+from modal.verdict.constancy import NO_INTERVAL
 from modal.verdict.excitation import BetweenLines
 from modal.verdict.judgement import Reruns
 from modal.verdict.linearity import Powers

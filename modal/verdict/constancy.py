@@ -72,6 +72,8 @@ ROWS_AT_ONCE = 4096
 """Sum so many rows at once: a long record has no copy a sample."""
 NOTABLE = 0.1
 """Speak of a change of the pole by this share of its decay rate: the spread at which damping is not to be quoted."""
+NO_INTERVAL = 3.0
+"""Give no interval beyond: what the blocks do not see of the noise may be as much again."""
 N_PARTS = 10
 """Compare so many parts of a record without inputs,"""
 UNSTEADY = 3.0
@@ -157,6 +159,7 @@ def with_changes(
     left: Sequence[FloatArray],
     *,
     output_scale: FloatArray,
+    times: float = 1.0,
 ) -> tuple[ModalModel, Uncertainty, tuple[str, ...]]:
     """Modes of the system that change in time or with their level, with deviations that hold both ends, and in words.
 
@@ -166,7 +169,10 @@ def with_changes(
         records: that it ran through, missing inputs count as zero; of none, and without inputs, nothing is told.
         left: (n_samples, n_outputs) a record, NaN where an output is missing.
         output_scale: (n_outputs,) sizes of the outputs.
+        times: as large as late what is left is soon after blows (`fading`), and all deviations are.
     """
+    if times > 1.0:
+        model, known = _less_sure(model, known, times)
     looks = _looks(model.system, records, left, output_scale) if records and records[0].n_inputs else []
     told = [(look, look.notable(len(looks))) for look in looks if look.notable(len(looks)).any()]
     if not told:
@@ -181,6 +187,27 @@ def with_changes(
         damping_ratio_std=np.array([mode.damping_ratio_std for mode in modes]),
     )
     return replace(model, modes=tuple(modes)), known, _sentences(told)
+
+
+def _less_sure(model: ModalModel, known: Uncertainty, times: float) -> tuple[ModalModel, Uncertainty]:
+    """Modes with deviations so many times larger, and all of these; no interval of a pole where that is too much."""
+    poles = times if times <= NO_INTERVAL else np.nan
+    wider = replace(
+        known.wider(times),
+        frequency_std=poles * known.frequency_std,
+        damping_ratio_std=poles * known.damping_ratio_std,
+    )
+    modes = tuple(
+        replace(
+            mode,
+            frequency_std=poles * mode.frequency_std,
+            damping_ratio_std=poles * mode.damping_ratio_std,
+            shape_std=None if mode.shape_std is None else times * mode.shape_std,
+            mass_std=None if mode.mass_std is None else times * mode.mass_std,
+        )
+        for mode in model.modes
+    )
+    return replace(model, modes=modes), wider
 
 
 def _widened(mode: Mode, look: _Look, notable: BoolArray) -> Mode:

@@ -205,11 +205,12 @@ class Reruns:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Answer:
-    """Modes as they stand after a question that only records of one kind allow, and what to say."""
+    """Modes as they stand after a question that only records of one kind allow, what to say, and how much less sure."""
 
     modes: ModalModel
     warnings: tuple[str, ...] = ()
     choices: tuple[Choice, ...] = ()
+    times: float = 1.0
 
 
 def judge(

@@ -190,15 +190,16 @@ def told_of_ring_down(
         mode if other is None else doubted(mode, f"{HALF_OF_IT} of the pole at {hertz(other.frequency)} Hz")
         for mode, other in zip(answer.modes, shared, strict=True)
     )
-    return replace(answer, modes=replace(answer.modes, modes=told), warnings=(*answer.warnings, _faded(times)))
+    warnings = (*answer.warnings, _faded(times))
+    return replace(answer, modes=replace(answer.modes, modes=told), warnings=warnings, times=times)
 
 
 def _faded(times: float) -> str:
     return (
         f"What the model leaves dies away after each blow, as the motion does: soon after it is {times:.2g} times as "
         "large as late, and steady noise is so by chance in less than one record of 10 000. Something is not linear or "
-        "changes in time, or modes are missing: modes and damping are an average at this level, and poles side by side "
-        "may be one mode; `modal-report gap` names the effect."
+        "changes in time, or modes are missing: modes and damping are an average at this level, all deviations are "
+        "larger by that, and poles side by side may be one mode; `modal-report gap` names the effect."
     )
 
 

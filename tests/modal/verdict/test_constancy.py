@@ -271,3 +271,17 @@ def test_rows_between_a_hit_and_its_rebound_tell_nothing():
     force = record.inputs[:, 0].copy()
     force[4] = 0.5  # both are widened by their own length: one row between
     assert fading(model, [Record(force, record.outputs, DT)], [noise]) == 1.0
+
+
+@pytest.mark.parametrize(("times", "interval"), [(2.0, 2.0), (4.0, np.nan)])
+def test_deviations_are_as_many_times_larger(times, interval):
+    """Beyond three times there is no interval of a pole."""
+    model, known = one_mode(2.0, 0.01)
+    found, wider, _ = with_changes(model, known, [], [], output_scale=np.ones(1), times=times)
+    mode = found.modes[0]
+    assert [mode.frequency_std, mode.damping_ratio_std] == pytest.approx(
+        [interval * 1e-3, interval * 1e-4], nan_ok=True
+    )
+    assert wider.frequency_std == pytest.approx([mode.frequency_std], nan_ok=True)
+    assert wider.damping_ratio_std == pytest.approx([mode.damping_ratio_std], nan_ok=True)
+    assert known.frequency_std[0] == 1e-3
