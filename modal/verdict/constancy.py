@@ -26,7 +26,8 @@ taken off e before; what a mode that changes leaves is no such answer, but for t
 After blows nothing drives, and a linear structure moves freely, whatever they were: what is left beside free motion
 from a state of its own after each blow is noise, and noise does not know when a blow was. Where it is larger soon after
 blows than late, beyond what the last thirds scatter, something moves that is no sum of these modes, or they are not
-all. How long that lasts is not known: the first block, the first two, four, ... of all blows together are asked.
+all. How long that lasts is not known: the first block, the first two, four, ... of all blows together are asked. An
+exponential window lets noise die away as well, but along one line in its logarithm, to the end.
 
 What rings down and is not quite linear shows products of its modes, x_i x_j and x_i x_j x_k or their conjugates: these
 ring down as well, with the sums of the poles for poles (Rugh, Nonlinear System Theory, 1981, section 3.2). One record
@@ -39,6 +40,7 @@ References:
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement
+from typing import Any
 
 import numpy as np
 import scipy
@@ -171,8 +173,7 @@ def with_changes(
         output_scale: (n_outputs,) sizes of the outputs.
         times: as large as late what is left is soon after blows (`fading`), and all deviations are.
     """
-    if times > 1.0:
-        model, known = _less_sure(model, known, times)
+    model, known = _less_sure(model, known, times)
     looks = _looks(model.system, records, left, output_scale) if records and records[0].n_inputs else []
     told = [(look, look.notable(len(looks))) for look in looks if look.notable(len(looks)).any()]
     if not told:
@@ -192,22 +193,15 @@ def with_changes(
 def _less_sure(model: ModalModel, known: Uncertainty, times: float) -> tuple[ModalModel, Uncertainty]:
     """Modes with deviations so many times larger, and all of these; no interval of a pole where that is too much."""
     poles = times if times <= NO_INTERVAL else np.nan
-    wider = replace(
-        known.wider(times),
-        frequency_std=poles * known.frequency_std,
-        damping_ratio_std=poles * known.damping_ratio_std,
-    )
-    modes = tuple(
-        replace(
-            mode,
-            frequency_std=poles * mode.frequency_std,
-            damping_ratio_std=poles * mode.damping_ratio_std,
-            shape_std=None if mode.shape_std is None else times * mode.shape_std,
-            mass_std=None if mode.mass_std is None else times * mode.mass_std,
+    by = {"frequency_std": poles, "damping_ratio_std": poles, "shape_std": times, "mass_std": times}
+
+    def wider(one: Any) -> Any:
+        return replace(
+            one, **{name: k * getattr(one, name) for name, k in by.items() if getattr(one, name) is not None}
         )
-        for mode in model.modes
-    )
-    return replace(model, modes=modes), wider
+
+    modes = tuple(wider(mode) for mode in model.modes)
+    return replace(model, modes=modes), replace(wider(known), markov_std=times * known.markov_std)
 
 
 def _widened(mode: Mode, look: _Look, notable: BoolArray) -> Mode:
@@ -415,28 +409,20 @@ def fading(model: Realisation, records: Sequence[Record], left: Sequence[FloatAr
         records: with blows, nan where a sample was not measured.
         left: (n_samples, n_outputs) a record, by it.
     """
-    after = []
-    for record, errors, acting in zip(records, left, acting_rows(records), strict=True):
-        strikes = widened(acting).any(axis=1)
-        there = np.where(np.isfinite(record.outputs), errors, np.nan)
-        quiet = ~strikes & (np.arange(strikes.size) >= strikes.argmax())
-        whole: BoolArray = np.asarray(np.isfinite(there).all(axis=1))
-        enough = max(PARTS_OF_BLOW * LEAST_ROWS, model.order, record.n_outputs + record.n_inputs)
-        rows = [slice(*run) for run in runs_of(quiet)]
-        after += [
-            Record(np.zeros_like(record.inputs[own]), there[own], record.dt)
-            for own in rows
-            if whole[own].sum() > enough
-        ]
+    after = [
+        part
+        for record, errors, acting in zip(records, left, acting_rows(records), strict=True)
+        for part in _after_blows(record, errors, acting, least=max(PARTS_OF_BLOW * LEAST_ROWS, model.order))
+    ]
     if not after:
         return 1.0
     rest = [own[np.isfinite(own).all(axis=1)] for own in model_runs(model, after).left]
-    together = np.vstack(rest)
-    steps = [resolution_of(one) for one in channels_of(records, channel_scaling(records)) if one.role == "output"]
-    largest = np.fmax.reduce([np.fmax.reduce(np.abs(one.outputs), axis=0) for one in records])
-    floor = np.square(np.nan_to_num(np.array(steps))) + np.square(DIGITS * largest)
-    power = np.maximum(np.square(together).mean(axis=0) + floor, TINY)
-    length = max(LEAST_ROWS, min(len(together) // N_BLOCKS, min(map(len, rest)) // PARTS_OF_BLOW))
+    outputs = [one for one in channels_of(records, channel_scaling(records)) if one.role == "output"]
+    steps, digits = np.array([(resolution_of(one), DIGITS * max(one.largest, -one.smallest)) for one in outputs]).T
+    floor = np.square(np.nan_to_num(steps)) + np.square(digits)
+    n_rows = sum(map(len, rest))
+    power = np.maximum(sum(np.square(own).sum(axis=0) for own in rest) / n_rows + floor, TINY)
+    length = max(LEAST_ROWS, min(n_rows // N_BLOCKS, min(map(len, rest)) // PARTS_OF_BLOW))
     blocks = []
     for own in rest:
         size = ((np.square(own) + floor) / power).mean(axis=1)
@@ -446,31 +432,77 @@ def fading(model: Realisation, records: Sequence[Record], left: Sequence[FloatAr
     return times if chance < FADES and times > LARGER_SOON else 1.0
 
 
+def _after_blows(record: Record, errors: FloatArray, acting: BoolArray, *, least: int) -> list[Record]:
+    """What is left after each blow as a record of free motion, where it has more complete rows than `least`.
+
+    Rows in which all outputs stand still to the end of the record are none: nothing was measured there.
+    """
+    strikes = widened(acting).any(axis=1)
+    there = np.where(np.isfinite(record.outputs), errors, np.nan)
+    whole: BoolArray = np.asarray(np.isfinite(there).all(axis=1))
+    moves = np.flatnonzero((np.diff(np.nan_to_num(record.outputs), axis=0) != 0.0).any(axis=1))
+    quiet = ~strikes & (np.arange(strikes.size) <= moves.max(initial=-1) + 1)
+    quiet[: strikes.argmax()] = False
+    least = max(least, record.n_outputs + record.n_inputs)
+    rows = [slice(*run) for run in runs_of(quiet) if whole[slice(*run)].sum() > least]
+    return [Record(np.zeros_like(record.inputs[own]), there[own], record.dt) for own in rows]
+
+
 def _larger_first(blocks: Sequence[FloatArray]) -> tuple[float, float]:
     """How many times as large as in last thirds the first blocks are, and how often chance makes as much of it.
+
+    Last thirds are asked as they are, and along the line that goes through them: an exponential window, which lets
+    noise die away as well, makes one line of all. The lesser is told.
 
     Args:
         blocks: (n_blocks,) a series, logarithms of powers.
     """
     early, late = zip(*(np.split(own, [2 * len(own) // 3]) for own in blocks), strict=True)
-    scatter = [own - own.mean() for own in late]
-    n_late, squares = sum(map(len, late)), sum(float(own @ own) for own in scatter)
+    scatter = np.concatenate([own - own.mean() for own in late])
+    lags = np.concatenate([np.arange(len(own)) - 0.5 * (len(own) - 1) for own in late])
+    n_late, sloped = len(scatter), float(lags @ scatter) / max(1.0, float(lags @ lags))
     freedom = n_late - len(late)
-    if freedom < LEAST_BLOCKS or not squares:
+    if freedom < LEAST_BLOCKS or not scatter.any():
         return 1.0, 1.0
+    ends, told = np.cumsum([len(own) for own in late])[:-1], []
+    for slope, own in ((0.0, scatter), (sloped, scatter - sloped * lags)):
+        lasting = _lasting(np.split(own, ends))
+        variance = lasting * float(own @ own) / freedom
+        of_slope = variance / max(1.0, float(lags @ lags)) if slope else 0.0
+        told.append(_first(early, late, slope, variance, of_slope, freedom=freedom / lasting))
+    return min(one for one, _ in told), max(chance for _, chance in told)
+
+
+def _lasting(series: Sequence[FloatArray]) -> float:
+    """How many times the variance of a mean is that of independent values, where neighbours are alike."""
+    squares, n = sum(float(own @ own) for own in series), sum(map(len, series))
     # a mean that is taken off makes neighbours look unlike by one over their number
-    alike = sum(float(own[1:] @ own[:-1]) for own in scatter) / squares + len(late) / n_late
+    alike = sum(float(own[1:] @ own[:-1]) for own in series) / max(squares, TINY) + len(series) / n
     alike = min(max(0.0, alike), ALIKE)
-    lasting = (1.0 + alike) / (1.0 - alike)
+    return (1.0 + alike) / (1.0 - alike)
+
+
+def _first(
+    early: Sequence[FloatArray],
+    late: Sequence[FloatArray],
+    slope: float,
+    variance: float,
+    of_slope: float,
+    *,
+    freedom: float,
+) -> tuple[float, float]:
+    """How many times as large as late ones, carried on along a slope, the first blocks are; and its chance."""
     firsts = 2 ** np.arange(int(np.log2(max(map(len, early)))) + 1)
     found = (1.0, 1.0)
     for n_first in firsts.tolist():
         first = [own[:n_first] for own in early]
         weights = np.array([1.0 / (1.0 / len(one) + 1.0 / len(other)) for one, other in zip(first, late, strict=True)])
         larger = [one.mean() - other.mean() for one, other in zip(first, late, strict=True)]
-        mean = float(np.average(larger, weights=weights))
-        t = mean / np.sqrt(squares / freedom * lasting / weights.sum())
-        chance = min(1.0, len(firsts) * float(scipy.special.stdtr(max(1.0, freedom / lasting), -t)))
+        sooner = [len(own) + 0.5 * (len(other) - len(one)) for own, one, other in zip(early, first, late, strict=True)]
+        mean, ahead = (float(np.average(values, weights=weights)) for values in (larger, sooner))
+        mean += slope * ahead
+        t = mean / np.sqrt(max(variance / weights.sum() + of_slope * ahead**2, TINY))
+        chance = min(1.0, len(firsts) * float(scipy.special.stdtr(max(1.0, freedom), -t)))
         found = min(found, (float(np.exp(0.5 * mean)), chance), key=lambda one: one[1])
     return found
 

@@ -77,7 +77,7 @@ CARRIED = 0.5
 """Ask that modes of the system carry this share of what rings, before one of them is certain."""
 HALF = 0.5
 """Doubt a mode of whose pulse response another pole could take so much, where what is left dies away after blows."""
-HALF_OF_IT = "what the model leaves is not noise alone, and half of this answer may be"
+HALF_OF_IT = "what the model leaves is not noise alone, and half of this motion may be"
 REST = "most of what rings down is described only by poles that were not found again"
 
 
@@ -198,8 +198,9 @@ def _faded(times: float) -> str:
     return (
         f"What the model leaves dies away after each blow, as the motion does: soon after it is {times:.2g} times as "
         "large as late, and steady noise is so by chance in less than one record of 10 000. Something is not linear or "
-        "changes in time, or modes are missing: modes and damping are an average at this level, all deviations are "
-        "larger by that, and poles side by side may be one mode; `modal-report gap` names the effect."
+        "changes in time, or modes are missing (a given order may be too low): modes and damping are an average at "
+        "this level, all deviations are larger by that, and poles side by side may be one mode; `modal-report gap` "
+        "names the effect."
     )
 
 
