@@ -15,8 +15,8 @@ from typing import Annotated, NoReturn
 import typer
 
 from modal.command import check, gap, many, results, run
-from modal.command.entry import STOPPED, Requests
 from modal.command.options import complain, spread_files
+from modal.command.stopping import STOPPED, Requests
 from modal.command.terminal import plain_streams
 from modal.report.folder import clear_away
 from modal.sections.validation import installed_version

@@ -22,7 +22,6 @@ from rich.console import Console
 from modal.batch import ExecutorError, Workers, identify_batch
 from modal.batch.running import usable_cores
 from modal.batch.tables import MODE_CSV, MODE_TABLE, PAGE, RECORD_TABLE, Batch
-from modal.command.entry import Requests
 from modal.command.options import (
     Dt,
     Hold,
@@ -35,6 +34,7 @@ from modal.command.options import (
     number_or_auto,
     whole_or_auto,
 )
+from modal.command.stopping import Requests
 from modal.command.terminal import Screen, listing, plain, progress_bar, show_paths
 from modal.identification.order_search import choose_orders
 from modal.recording.live import estimate_recording, live_recording, log_estimate

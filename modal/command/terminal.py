@@ -23,7 +23,7 @@ from rich.table import Table
 from rich.text import Text
 
 from modal.acceptance.check import LimitOutcome
-from modal.command.entry import Requests
+from modal.command.stopping import Requests
 from modal.examples.demo import ModeComparison
 from modal.identification.result import Identification
 from modal.identification.words import (

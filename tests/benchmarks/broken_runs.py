@@ -27,7 +27,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 START = (
     "import sys; sys.stdin.close(); "
-    "from modal.command.entry import main; from modal.command.entry import Requests; "
+    "from modal.command.entry import main; from modal.command.stopping import Requests; "
     "Requests.listen(); print('ready', flush=True); main()"
 )
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from modal.command.entry import Requests
 from modal.command.gap import show_diagnosis, show_diagnosis_files
+from modal.command.stopping import Requests
 from modal.command.terminal import (
     Shown,
     progress_bar,

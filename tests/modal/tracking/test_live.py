@@ -10,9 +10,9 @@ import scipy
 
 import modal
 from era.balanced import realise
-from modal.command.entry import Requests
 from modal.command.main import status
 from modal.command.many import _estimate_lines
+from modal.command.stopping import Requests
 from modal.modes.extraction import extract_modes
 from modal.modes.mode import Mode
 from modal.tracking.live import growing_blocks
