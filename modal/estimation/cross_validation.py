@@ -461,7 +461,7 @@ def hankel_shape(n_lags: int, n_inputs: int, n_outputs: int) -> tuple[int, int]:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Grown:
+class GrownModel:
     """A model that grew mode by mode from nothing.
 
     Attributes:
@@ -502,7 +502,7 @@ class Trial(Displayed):
     refinement_steps: int = 0
     weak_modes: int = 0
     answers: int = 0
-    grown: Grown | None = field(default=None, repr=False)
+    grown: GrownModel | None = field(default=None, repr=False)
 
     @property
     def grew(self) -> bool:

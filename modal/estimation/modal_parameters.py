@@ -22,7 +22,7 @@ import scipy
 
 from era.realisation import HankelFactors, Realisation
 from era.state_recursion import lifted
-from modal.estimation.cross_validation import FIRST_RIDGE, Grown, corner, decompose_coefficients
+from modal.estimation.cross_validation import FIRST_RIDGE, GrownModel, corner, decompose_coefficients
 from modal.estimation.free_run import ModalForm, ModalRecursion, begins_at_rest, initial_state
 from modal.estimation.modal_states import NONE, ModalParameters
 from modal.estimation.output_error import GROWS_AFTER, GROWS_ON, OutputError, RefinementStep, refine, step_at
@@ -182,7 +182,7 @@ def with_weak_modes(
     data: OutputError,
     ways: Sequence[Proposal],
     turns: Callable[[RefinementStep], tuple[RefinementStep, OutputError, tuple[FloatArray, ...]]],
-    grown: Grown | None = None,
+    grown: GrownModel | None = None,
 ) -> tuple[RefinementStep, OutputError]:
     """The model with a weak mode more for each way to find one, and the data with the likeliest forces.
 

@@ -4,15 +4,14 @@ The model's free run, y = sum of Re(c_i x_i) + D u + level, is linear in the sha
 projected out (variable projection, Kaufman's form), and nonlinear in poles, participations b and initial states. A
 complex pole is lambda = exp(-exp(a) + j theta), so no step can leave the unit circle. With s = r + j t a sensitivity of
 state i (`modal.estimation.modal_states`) and its shape c = a + j d, the real part of a parameter moves the outputs by
-Re(c s) = a r - d t, the imaginary part by -Im(c s) = -d r - a t, and their products are, with P = I - Phi (Phi'
-Phi)^-1 Phi',
+Re(c s) = a r - d t, the imaginary part by -Im(c s) = -d r - a t, and their products are, with
+P = I - Phi (Phi' Phi)^-1 Phi',
 
     J'J = (a_i' W a_j) (r_i' P r_j) - (a_i' W d_j) (r_i' P t_j) - (d_i' W a_j) (t_i' P r_j) + (d_i' W d_j) (t_i' P t_j)
 
 for two real parts and likewise for others, so that one Gram matrix of states and sensitivities gives shapes, gradient
-and J'J; no Jacobian is formed. The scale
-that b and c share is fixed by leaving the largest entry of each b alone. Outputs that were measured in other rows than
-others have sums of their own, and all of these add up.
+and J'J; no Jacobian is formed. The scale that b and c share is fixed by leaving the largest entry of each b alone.
+Outputs that were measured in other rows than others have sums of their own, and all of these add up.
 """
 
 from collections.abc import Callable, Sequence

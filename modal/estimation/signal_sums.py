@@ -128,7 +128,8 @@ class _Total:
             counted[block.rows] = rows[block.rows]
         runs = runs_of(counted)
         many = driven.others.start >= FEWEST_SIGNALS and counted.sum() >= FEWEST_ROWS * len(runs)
-        follow = many and 2 * (near := _near(driven.poles)).sum() < near.size
+        near = _near(driven.poles)
+        follow = many and 2 * near.sum() < near.size
         size = 0 if follow else driven.n_signals
         return cls(
             driven=driven,

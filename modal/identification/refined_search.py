@@ -25,7 +25,7 @@ from modal.estimation.cross_validation import (
     WITHIN,
     Folds,
     Ground,
-    Grown,
+    GrownModel,
     Trial,
     corner,
     scaled_model,
@@ -203,7 +203,7 @@ def _pursued(
             errors.append(last.block_errors())
         n = len(trials) + 1
         made = trial_of(*observer, 2 * n, errors, shop.ground.power, refinement_steps=MOST_STEPS, weak_modes=n)
-        trials.append(replace(made, grown=Grown(parameters=step.parameters, data=following, told=data)))
+        trials.append(replace(made, grown=GrownModel(parameters=step.parameters, data=following, told=data)))
         gains = best is None or significantly_worse(best, made)
         if made.model_order > max(model_orders):  # the last few together take more than what counts as equal
             gains = gains and trials[-1 - MOST_WEAK_MODES :][0].error > WITHIN * made.error
@@ -467,7 +467,7 @@ def refined_model(
     *,
     weak_modes: int = 0,
     answers: int = 0,
-    grown: Grown | None = None,
+    grown: GrownModel | None = None,
     evidence: Realisation | None = None,
     least_gain: float = SMALLEST_GAIN,
     n_rest: int = 0,

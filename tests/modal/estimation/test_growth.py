@@ -8,7 +8,7 @@ import scipy
 from systems import modal_system, simulate
 
 from era.realisation import Realisation
-from modal.estimation.cross_validation import Grown
+from modal.estimation.cross_validation import GrownModel
 from modal.estimation.modal_parameters import (
     errors_of,
     nothing_yet,
@@ -85,7 +85,7 @@ def test_what_grew_on_the_same_rows_before_is_taken_as_it_is_and_on_others_grows
     ways = ["answer", "answer"]
     plain, told = with_weak_modes(nothing_yet(data), data, ways, lambda step: (step, data, ()))
     assert plain.parameters.poles.size == 2
-    grown = Grown(parameters=plain.parameters, data=data, told=told)
+    grown = GrownModel(parameters=plain.parameters, data=data, told=told)
     again, _ = with_weak_modes(nothing_yet(data), data, [], lambda step: (step, data, ()), grown)
     np.testing.assert_array_equal(again.parameters.poles, plain.parameters.poles)
     np.testing.assert_allclose(again.error, plain.error, rtol=1e-12)
