@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from modal.modes.mode import Choice, ModalModel, Mode
 from modal.modes.shape_comparison import inner_products, pulses
+from modal.verdict.constancy import NO_INTERVAL
 from modal.verdict.decay import Decay, directions, strongest_line
 from modal.verdict.judgement import FOUND_AGAIN, Answer, doubted
 from modal.verdict.oscillator import (
@@ -195,12 +196,12 @@ def told_of_ring_down(
 
 
 def _faded(times: float) -> str:
+    less_sure = "all deviations are larger by that" if times <= NO_INTERVAL else "no interval is given"
     return (
         f"What the model leaves dies away after each blow, as the motion does: soon after it is {times:.2g} times as "
         "large as late, and steady noise is so by chance in less than one record of 10 000. Something is not linear or "
         "changes in time, or modes are missing (a given order may be too low): modes and damping are an average at "
-        "this level, all deviations are larger by that, and poles side by side may be one mode; `modal-report gap` "
-        "names the effect."
+        f"this level, {less_sure}, and poles side by side may be one mode; `modal-report gap` names the effect."
     )
 
 

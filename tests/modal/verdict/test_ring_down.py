@@ -301,7 +301,10 @@ def test_poles_side_by_side_are_not_certain_where_what_is_left_dies_away(frequen
     found = told_of_ring_down(modes, [record], left, output_scale=np.ones(2), is_decay=False, times=2.5)
     assert "dies away after each blow" in found.warnings[0]
     assert "2.5 times as large" in found.warnings[0]
+    assert "deviations are larger by that" in found.warnings[0]
     assert found.times == 2.5
+    far = told_of_ring_down(modes, [record], left, output_scale=np.ones(2), is_decay=False, times=9.0)
+    assert "no interval is given" in far.warnings[0]
     assert [mode.verdict for mode in found.modes] == ["system" if certain else "doubtful", "noise"]
 
 
