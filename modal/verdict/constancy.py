@@ -75,7 +75,7 @@ ROWS_AT_ONCE = 4096
 NOTABLE = 0.1
 """Speak of a change of the pole by this share of its decay rate: the spread at which damping is not to be quoted."""
 NO_INTERVAL = 3.0
-"""Give no interval beyond: what the blocks do not see of the noise may be as much again."""
+"""Give no interval where noise makes deviations larger by more: what is not seen of it may be as much again."""
 N_PARTS = 10
 """Compare so many parts of a record without inputs,"""
 UNSTEADY = 3.0

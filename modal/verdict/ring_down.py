@@ -15,7 +15,7 @@ Where no such oscillator is near either, the poles side by side are still not fo
 among them is no mode for that: modes that are certain are most of what rings down.
 
 What a linear model leaves may also say that it is none (`modal.verdict.constancy.fading`). Then poles side by side
-share one answer as they would at no other level: no mode is certain of whose answer another pole could take half.
+share one motion as they would at no other level: no mode is certain of whose energy another pole could take half.
 
 References:
     Den Hartog, Mechanical Vibrations, 4th ed., 1956, section 8.6; Feldman, Hilbert transform in vibration analysis,
@@ -77,7 +77,7 @@ MANIFEST = 1.1
 CARRIED = 0.5
 """Ask that modes of the system carry this share of what rings, before one of them is certain."""
 HALF = 0.5
-"""Doubt a mode of whose pulse response another pole could take so much, where what is left dies away after blows."""
+"""Doubt a mode of whose energy another pole could take so much, where what is left dies away after blows."""
 HALF_OF_IT = "what the model leaves is not noise alone, and half of this motion may be"
 REST = "most of what rings down is described only by poles that were not found again"
 
