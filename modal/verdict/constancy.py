@@ -176,8 +176,6 @@ def with_changes(
     model, known = _less_sure(model, known, times)
     looks = _looks(model.system, records, left, output_scale) if records and records[0].n_inputs else []
     told = [(look, look.notable(len(looks))) for look in looks if look.notable(len(looks)).any()]
-    if not told:
-        return model, known, ()
     modes = list(model.modes)
     for look, notable in told:
         (i,) = (k for k, mode in enumerate(model.modes) if mode is look.mode)
@@ -412,7 +410,7 @@ def fading(model: Realisation, records: Sequence[Record], left: Sequence[FloatAr
     after = [
         part
         for record, errors, acting in zip(records, left, acting_rows(records), strict=True)
-        for part in _after_blows(record, errors, acting, least=max(PARTS_OF_BLOW * LEAST_ROWS, model.order))
+        for part in after_blows(record, errors, acting, least=max(PARTS_OF_BLOW * LEAST_ROWS, model.order))
     ]
     if not after:
         return 1.0
@@ -432,13 +430,13 @@ def fading(model: Realisation, records: Sequence[Record], left: Sequence[FloatAr
     return times if chance < FADES and times > LARGER_SOON else 1.0
 
 
-def _after_blows(record: Record, errors: FloatArray, acting: BoolArray, *, least: int) -> list[Record]:
-    """What is left after each blow as a record of free motion, where it has more complete rows than `least`.
+def after_blows(record: Record, values: FloatArray, acting: BoolArray, *, least: int) -> list[Record]:
+    """Values (n_samples, n_outputs) after each blow as a record of free motion, where more than `least` rows are whole.
 
     Rows in which all outputs stand still to the end of the record are none: nothing was measured there.
     """
     strikes = widened(acting).any(axis=1)
-    there = np.where(np.isfinite(record.outputs), errors, np.nan)
+    there = np.where(np.isfinite(record.outputs), values, np.nan)
     whole: BoolArray = np.asarray(np.isfinite(there).all(axis=1))
     moves = np.flatnonzero((np.diff(np.nan_to_num(record.outputs), axis=0) != 0.0).any(axis=1))
     quiet = ~strikes & (np.arange(strikes.size) <= moves.max(initial=-1) + 1)

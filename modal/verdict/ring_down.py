@@ -33,6 +33,7 @@ from modal.modes.mode import Choice, ModalModel, Mode
 from modal.modes.shape_comparison import inner_products, pulses
 from modal.verdict.constancy import NO_INTERVAL
 from modal.verdict.decay import Decay, directions, strongest_line
+from modal.verdict.inner_forces import inner_forces_of, told_of_inner_forces
 from modal.verdict.judgement import FOUND_AGAIN, Answer, doubted
 from modal.verdict.oscillator import (
     CLOSELY,
@@ -184,7 +185,13 @@ def told_of_ring_down(
     n_steps = max(record.n_samples for record in records)
     rest = is_decay and bool(modes.system) and carried(modes, n_steps=n_steps, output_scale=output_scale) < CARRIED
     answer = _told_by_contest(modes, contest_of(records, left, modes.modes, whole=rest), rest=rest)
-    if answer.choices or times == 1.0:
+    if answer.choices:
+        return answer
+    inner = inner_forces_of(modes, records)
+    if inner is not None:
+        beside = told_of_inner_forces(answer.modes, inner)
+        answer = replace(beside, warnings=(*answer.warnings, *beside.warnings))
+    if times == 1.0:
         return answer
     shared = _shared(answer.modes, n_steps=n_steps, output_scale=output_scale)
     told = tuple(
