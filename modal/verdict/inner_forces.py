@@ -34,8 +34,9 @@ import scipy
 from era.state_recursion import PoleRecursion
 from modal.modes.mode import ModalModel, Mode
 from modal.preparation.kind import acting_rows
-from modal.verdict.constancy import after_blows
+from modal.verdict.constancy import DIGITS, after_blows
 from modal.verdict.judgement import Answer, doubted
+from modal.verdict.oscillator import HEAVIEST
 from modal.wording.text import NINETY_FIVE, NONLINEAR, counted, hertz, listed, percent
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
 from okid.record import Record
@@ -50,8 +51,8 @@ MOST_MODES = 8
 """Try so many modes at most."""
 FEWEST = 40
 """Ask nothing of fewer rows after a blow, nor of fewer than twice as many as the linear model has states."""
-BLOWS, MOST_ROWS, LONGEST = 8, 3000, 20_000
-"""Ask what follows so many of the loudest blows, in so many rows, each among the first so many."""
+BLOWS, MOST_ROWS, LONGEST = 8, 3000, 10_000
+"""Ask what follows so many of the loudest blows, in so many rows, among the first so many of them together."""
 A_CYCLE = 12
 """Know the products at so many points in a cycle of the fastest mode at least."""
 STEPS, ENOUGH = 12, 1e-3
@@ -64,8 +65,8 @@ TURNS = 30
 """Ask so often what shapes and participations leave."""
 EVIDENCE = 10.0
 """Believe in inner forces where the criterion falls by so much: odds of 150 to 1."""
-LEAST_LEFT = 1e-9
-"""Weigh outputs by what the linear model leaves of each, but by no less than this share of it."""
+FURTHEST = 2.0
+"""Let no pole go further than so many times the decay rate from where the linear model has it."""
 LEAST_DECAY = 0.05
 """Let no step leave less than this share of a decay rate."""
 EXPLAINED = 1e-10
@@ -141,15 +142,18 @@ def inner_forces_of(modes: ModalModel, records: Sequence[Record]) -> InnerForces
         modes: of the linear model, all of them.
         records: with blows, nan where a sample was not measured.
     """
-    turning = [mode for mode in modes.modes if mode.kind == "oscillatory" and mode.pole.real < 0.0]
+    turning = [mode for mode in modes.modes if mode.kind == "oscillatory" and 0.0 < mode.damping_ratio < HEAVIEST]
     asked = _Asked.of(modes.modes, records) if turning and records[0].n_inputs else None
     if asked is None:
         return None
     poles, rest = _order(asked, turning)
     able = np.flatnonzero(rest < asked.linear - EVIDENCE) + 1
     roads = [asked.motions(often) for often in INTEGRATED] if len(able) else []
+    certain = {mode.pole for mode in turning if mode.verdict == "system"}
     best: _Description | None = None
     for n_modes in able.tolist():
+        if best is not None and poles[n_modes - 1] not in certain:  # what is left may be no mode
+            break
         fits = sorted((_fitted_near(asked, road, poles[:n_modes]) for road in roads), key=lambda one: one.power)
         least = (asked.linear if best is None else best.criterion) - EVIDENCE
         told = [one for fit in fits if (one := _told(asked, fit, least=least)) is not None]
@@ -157,10 +161,22 @@ def inner_forces_of(modes: ModalModel, records: Sequence[Record]) -> InnerForces
             break
         best = min(told, key=lambda one: one.criterion, default=None)
         # half of the motions go on, or the one that has won
-        roads = [fit.motions for fit in fits[: -(-len(fits) // 2)]] if best is None else [best.motions]
+        roads = [fit.motions for fit in fits[: -(-len(fits) // 2)]] if best is None else [best.trial.motions]
+    while best is not None and len(best.trial.poles) > 1:
+        fewer = [
+            _told(asked, _without(asked, best.trial, i), least=best.criterion) for i in range(len(best.trial.poles))
+        ]
+        likelier = [one for one in fewer if one is not None]
+        if not likelier:
+            break
+        best = min(likelier, key=lambda one: one.criterion)
     if best is None:
         return None
-    return InnerForces(poles=best.poles, share=best.share, n_linear=len(turning))
+    # a linear model that is too large is no competitor: so few modes may need no inner forces
+    alone = _fitted(asked, _Trial.of(asked, best.trial.motions, best.trial.poles, np.zeros(0)))
+    if _told(asked, alone, least=best.criterion + EVIDENCE) is not None:
+        return None
+    return InnerForces(poles=best.trial.poles, share=best.share, n_linear=len(turning))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -174,8 +190,9 @@ class _Asked:
         rows: which are asked, of each.
         seen: (n_rows, n_outputs) of all together, in what the linear model leaves, rms.
         spectrum: (n_rows // 2 + 1, n_outputs) of what it leaves, its mean 1.
-        linear: Schwarz's criterion of the linear model.
-        size: (n_outputs,) what the outputs were divided by.
+        linear: Schwarz's criterion of the linear model, whose misfit is 0.
+        size: (n_outputs,) what the outputs were divided by: so much the linear model leaves, and rounding.
+        digits: (n_outputs,) share of its square that is rounding.
         dt: time step [s].
     """
 
@@ -187,6 +204,7 @@ class _Asked:
     spectrum: FloatArray
     linear: float
     size: FloatArray
+    digits: FloatArray
     dt: float
 
     @classmethod
@@ -194,28 +212,30 @@ class _Asked:
         """None where nothing moves freely for long enough."""
         dt, n_states = records[0].dt, sum(1 + (mode.kind == "oscillatory") for mode in modes)
         after = [
-            part.outputs[:LONGEST]
+            part.outputs
             for record, acting in zip(records, acting_rows(records), strict=True)
             for part in after_blows(record, record.outputs, acting, least=max(FEWEST, 2 * n_states))
         ]
         after = sorted(after, key=lambda own: -float(np.nanmax(np.abs(own))))[:BLOWS]
         if not after:
             return None
+        after = [own[: LONGEST // len(after)] for own in after]
         whole = [np.isfinite(own).all(axis=1) for own in after]
+        if not any(own.any() for own in whole):
+            return None
         each = max(1, -(-sum(int(own.sum()) for own in whole) // MOST_ROWS))
-        rows = [own & (np.arange(own.size) % each == 0) for own in whole]
-        starts, levels, left = zip(
-            *(_free_motion(modes, own, there, dt) for own, there in zip(after, rows, strict=True))
-        )
+        rows = [own & (np.cumsum(own) % each == 0) for own in whole]
+        free = [_free_motion(modes, own, there, dt) for own, there in zip(after, rows, strict=True)]
+        starts, levels, left = zip(*free, strict=True)
         seen = np.vstack([own[there] - level for own, there, level in zip(after, rows, levels, strict=True)])
         errors = np.vstack(left)
-        size: FloatArray = np.maximum(np.sqrt(np.mean(errors**2, axis=0)), LEAST_LEFT * seen.std(axis=0))
+        digits = np.square(DIGITS * np.abs(seen).max(axis=0))
+        size: FloatArray = np.sqrt(np.mean(errors**2, axis=0) + digits)
         if not np.all(size > 0.0):
             return None
-        fine = max(1, int(np.ceil(A_CYCLE * max(abs(mode.pole) for mode in modes) * dt / (2 * np.pi))))
+        fine = max(1, int(np.ceil(A_CYCLE * max(abs(mode.pole.imag) for mode in modes) * dt / (2 * np.pi))))
         poles = np.array([mode.pole for mode in modes])[:, np.newaxis]
         power = np.abs(np.fft.rfft(errors / size, axis=0)) ** 2
-        misfit = len(seen) * np.log(np.maximum(np.square(errors / size).mean(axis=0), TINY)).sum()
         return cls(
             states=[
                 start[:, np.newaxis] * np.exp(poles * dt / fine * np.arange(fine * len(own)))
@@ -226,22 +246,30 @@ class _Asked:
             rows=rows,
             seen=seen / size,
             spectrum=power / np.maximum(power.mean(axis=0), TINY),
-            linear=float(misfit + n_states * (seen.shape[1] + len(after)) * np.log(seen.size)),
+            linear=float(n_states * (seen.shape[1] + len(after)) * np.log(seen.size)),
             size=size,
+            digits=digits / size**2,
             dt=dt,
         )
 
-    def price(self, n_modes: int, basis: FloatArray) -> float:
-        """Of the numbers of so many modes with inner forces; more where noise lies along the basis of their answers."""
-        n_outputs, n_drives = self.seen.shape[1], len(self.states) + 2
-        n_numbers = 2 * n_modes * (n_outputs + n_drives) + min(MOTIONS, n_outputs) - 1
+    def misfit(self, power: FloatArray) -> float:
+        """-2 ln L, but for a constant, of what is left (n_outputs,) in all rows together."""
+        return float(len(self.seen) * np.log(np.maximum(power, 0.0) / len(self.seen) + self.digits).sum())
+
+    def n_numbers(self, n_modes: int) -> int:
+        """Of so many modes with inner forces."""
+        n_outputs = self.seen.shape[1]
+        return 2 * n_modes * (n_outputs + len(self.states) + 2) + min(MOTIONS, n_outputs) - 1
+
+    def price(self, n_numbers: int, basis: FloatArray) -> float:
+        """Of so many numbers; more where noise lies along the basis of their answers."""
         along = np.abs(np.fft.rfft(basis, axis=0)) ** 2
         louder = float(((along / along.sum(axis=0)).mean(axis=1) @ self.spectrum).max())
         return n_numbers * max(1.0, louder) * float(np.log(self.seen.size))
 
     def motions(self, often: int) -> list[FloatArray]:
         """(n_fine, n_motions) a record, principal motions integrated so often, each of size 1 at most."""
-        shapes = np.array([mode.shape / np.where(mode.pole, mode.pole, np.inf) ** often for mode in self.modes])
+        shapes = np.array([mode.shape * (mode.pole**-often if mode.pole else 0.0) for mode in self.modes])
         motions = [(own.T @ (shapes / self.size * self.weights[:, np.newaxis])).real for own in self.states]
         axes = np.linalg.eigh(sum(own.T @ own for own in motions))[1][:, -MOTIONS:]
         turned = [own @ axes for own in motions]
@@ -288,8 +316,12 @@ def _order(asked: _Asked, turning: Sequence[Mode]) -> tuple[ComplexArray, FloatA
         basis = np.hstack([basis, along[pole]])
         left = left - along[pole] @ (along[pole].T @ left)
         poles.append(pole)
-        rest.append(float(len(left) * np.log(np.square(left).mean(axis=0)).sum()) + asked.price(len(poles), basis))
-        del candidates[pole]
+        rest.append(
+            float(len(left) * np.log(np.square(left).mean(axis=0)).sum())
+            + asked.price(asked.n_numbers(len(poles)), basis)
+        )
+        # of poles within one half-power band all but the first follow what it does not: that is what is asked
+        candidates = {one: own for one, own in candidates.items() if abs(one - pole) > max(-one.real, -pole.real)}
     return np.array(poles), np.array(rest)
 
 
@@ -325,6 +357,8 @@ def _answers(asked: _Asked, products: Sequence[FloatArray], pole: complex) -> Fl
 
 def _run(pole: complex, drive: FloatArray | ComplexArray) -> ComplexArray:
     n_drives, n_samples = drive.shape
+    if not n_drives:
+        return np.zeros((0, n_samples), dtype=np.complex128)
     recursion = PoleRecursion.of(np.full(n_drives, pole), n_samples)
     return recursion.run(drive, np.zeros(n_drives, dtype=np.complex128))[0]
 
@@ -372,22 +406,27 @@ class _Trial:
 
 
 def _powers(motions: Sequence[FloatArray], direction: FloatArray) -> list[FloatArray]:
-    """(2, n_fine) a record: square and cube of the deformation."""
+    """(2, n_fine) after each blow: square and cube of the deformation; nothing (0, n_fine) of no direction."""
+    if not direction.size:
+        return [np.zeros((0, len(own))) for own in motions]
     return [np.array([(own @ direction) ** 2, (own @ direction) ** 3]) for own in motions]
 
 
 def _fitted(asked: _Asked, trial: _Trial) -> _Trial:
     """Poles and direction that leave least, with every size projected out (Kaufman's steps)."""
-    n_modes = len(trial.poles)
+    n_modes, begun = len(trial.poles), trial.poles
     for _ in range(STEPS):
-        across = np.linalg.svd(trial.direction[np.newaxis])[2][1:]
+        across = np.linalg.svd(trial.direction[np.newaxis])[2][1:] if trial.direction.size else np.zeros((0, 0))
         slopes = _slopes(asked, trial, across)
         step = np.linalg.lstsq(slopes, trial.left.ravel(), rcond=None)[0]
+        step = step / max(1.0, float(np.linalg.norm(step[2 * n_modes :])))
         for _ in range(HALVINGS):
             poles = trial.poles + step[:n_modes] + 1j * step[n_modes : 2 * n_modes]
-            poles = np.minimum(poles.real, LEAST_DECAY * trial.poles.real) + 1j * np.abs(poles.imag)
+            far = poles - begun
+            poles = begun + far / np.maximum(1.0, np.abs(far) / (-FURTHEST * begun.real))
+            poles = np.minimum(poles.real, LEAST_DECAY * begun.real) + 1j * np.abs(poles.imag)
             direction = trial.direction + step[2 * n_modes :] @ across
-            other = _Trial.of(asked, trial.motions, poles, direction / np.linalg.norm(direction))
+            other = _Trial.of(asked, trial.motions, poles, direction / max(float(np.linalg.norm(direction)), TINY))
             if other.power < trial.power:
                 break
             step = 0.5 * step
@@ -398,6 +437,11 @@ def _fitted(asked: _Asked, trial: _Trial) -> _Trial:
         if enough:
             break
     return trial
+
+
+def _without(asked: _Asked, trial: _Trial, i: int) -> _Trial:
+    """The likeliest without one of its modes."""
+    return _fitted(asked, _Trial.of(asked, trial.motions, np.delete(trial.poles, i), trial.direction))
 
 
 def _slopes(asked: _Asked, trial: _Trial, across: FloatArray) -> FloatArray:
@@ -436,29 +480,29 @@ class _Description:
     """Modes with inner forces.
 
     Attributes:
-        poles: (n_modes,) [rad/s].
-        criterion: Schwarz's.
+        trial: with any sizes.
+        criterion: Schwarz's, with one shape a mode.
         share: as `InnerForces.share`.
-        motions: of whose deformation the forces are powers.
     """
 
-    poles: ComplexArray
+    trial: _Trial
     criterion: float
     share: float
-    motions: list[FloatArray]
 
 
 def _told(asked: _Asked, trial: _Trial, *, least: float) -> _Description | None:
     """The description whose modes have one shape each; None where its criterion is not below `least`."""
     answers = trial.answers
-    n_rows, n_outputs = asked.seen.shape
+    n_outputs = asked.seen.shape[1]
     n_modes, n_drives = len(answers), answers[0].shape[1] // 2
     columns = np.hstack(answers)
     basis, triangle = np.linalg.qr(columns / np.maximum(np.linalg.norm(columns, axis=0), TINY))
     along = basis.T @ asked.seen
     apart = np.square(asked.seen).sum(axis=0) - np.square(along).sum(axis=0)
-    price = asked.price(n_modes, basis)
-    if n_rows * np.log(np.maximum(apart, TINY) / n_rows).sum() + price > least:  # no shapes leave less
+    n_numbers = 2 * n_modes * (n_outputs + n_drives) + max(0, trial.direction.size - 1)
+    price = asked.price(n_numbers, basis)
+    heavy = bool((-trial.poles.real > HEAVIEST * np.abs(trial.poles)).any())
+    if heavy or asked.misfit(apart) + price > least:  # no shapes leave less
         return None
     free = np.linalg.lstsq(triangle, along, rcond=RIDGE)[0].reshape(n_modes, 2, n_drives, n_outputs)
     real, imaginary = np.moveaxis(triangle.reshape(len(triangle), n_modes, 2, n_drives), 2, 0)
@@ -472,17 +516,14 @@ def _told(asked: _Asked, trial: _Trial, *, least: float) -> _Description | None:
         method="trf",
         max_nfev=TURNS,
     )
-    rest = apart + np.square(fit.fun.reshape(along.shape)).sum(axis=0)
-    criterion = float(n_rows * np.log(np.maximum(rest, TINY) / n_rows).sum())
-    if criterion + price > least:
+    criterion = asked.misfit(apart + np.square(fit.fun.reshape(along.shape)).sum(axis=0)) + price
+    if criterion > least:
         return None
     drives, shapes = _drives_and_shapes(fit.x, turning, n_outputs)
     drives[:, : len(asked.states)] = 0.0  # what inner forces make
     made = np.einsum("adk,ak,ao->do", turning, drives, shapes).real
     share = np.square(made).sum(axis=0) / np.maximum(np.square(asked.seen).sum(axis=0), TINY)
-    return _Description(
-        poles=trial.poles, criterion=criterion + price, share=float(np.sqrt(share.max())), motions=trial.motions
-    )
+    return _Description(trial=trial, criterion=criterion, share=float(np.sqrt(share.max())))
 
 
 def _drives_and_shapes(numbers: FloatArray, turning: ComplexArray, n_outputs: int) -> tuple[ComplexArray, ComplexArray]:
