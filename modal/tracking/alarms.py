@@ -94,16 +94,16 @@ def explain(values: FloatArray, causes: Mapping[str, FloatArray], times: FloatAr
             def errors(felt: _Felt, name: str = name) -> FloatArray:
                 return _held_out_errors(compared, _terms(causes, {**chosen, name: felt}, times)[0], folds)
 
-            def error(felt: _Felt) -> float:
-                return float(np.nansum(errors(felt)))
-
             slow = [
                 _Felt(Causes.FIRST_DEGREE, part, tau)
                 for part, tau in product(Causes.SLOW_PARTS, Causes.TIME_CONSTANTS)
                 if clock
             ]
-            best = min([_Felt(Causes.FIRST_DEGREE), *slow], key=error)
-            chosen[name] = replace(best, degree=_degree([errors(replace(best, degree=n)) for n in Causes.DEGREES]))
+            forms = [_Felt(Causes.FIRST_DEGREE), *slow]
+            of_forms = [errors(felt) for felt in forms]
+            best = forms[int(np.argmin([np.nansum(own) for own in of_forms]))]
+            of_degrees = [errors(replace(best, degree=n)) for n in Causes.DEGREES]
+            chosen[name] = replace(best, degree=_degree(of_degrees, forms=of_forms))
     terms, names = _terms(causes, chosen, times)
     alone = _held_out_errors(values, terms[:, :0], folds).sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -162,26 +162,37 @@ def _fitted_by_all(values: FloatArray, *, n_causes: int) -> FloatArray:
     return np.asarray(found[:, np.nanmax(found, axis=0) > np.nanmin(found, axis=0)], dtype=np.float64)
 
 
-def _degree(errors: Sequence[FloatArray]) -> int:
+def _degree(errors: Sequence[FloatArray], *, forms: Sequence[FloatArray]) -> int:
     """The largest degree that held-out months cannot tell from the best one; 0 where they cannot tell it from none.
 
     What nothing has to do with the modes lowers the error of held-out months by chance, too, and takes with it a part
-    of every change that it resembles.
+    of every change that it resembles. The more forms are tried, the lower is the least error: against none each month
+    is foretold by the form that the other months choose, so that none is chosen by what it is judged on.
 
     Args:
         errors: of each degree from 0, (n_folds, n_modes).
+        forms: likewise, of each part and time constant.
     """
     best = int(np.argmin([np.nansum(own) for own in errors]))
     size = errors[best].sum(axis=0)  # each mode against what is left of it: weak terms show in the surest modes
 
-    def alike(degree: int) -> bool:
-        """Within the deviation of the sum."""
-        worse = np.nansum((errors[degree] - errors[best]) / size, axis=1)
+    def alike(first: FloatArray, second: FloatArray) -> bool:
+        """Not larger by the deviation of the sum."""
+        worse = np.nansum((first - second) / size, axis=1)
         return bool(worse.sum() < math.sqrt(worse.size) * worse.std(ddof=1))
 
-    if not best or alike(0):
+    if not best or alike(errors[0], _chosen_by_others([*errors[1:], *forms])):
         return 0
-    return next((degree for degree in range(len(errors) - 1, best, -1) if alike(degree)), best)
+    return next((degree for degree in range(len(errors) - 1, best, -1) if alike(errors[degree], errors[best])), best)
+
+
+def _chosen_by_others(tried: Sequence[FloatArray]) -> FloatArray:
+    """(n_folds, n_modes) errors on each fold of that which is best on the others."""
+    every = np.array(tried)
+    of_folds = np.nansum(every, axis=2)
+    others = of_folds.sum(axis=1, keepdims=True) - of_folds
+    best: FloatArray = every[others.argmin(axis=0), np.arange(every.shape[1])]
+    return best
 
 
 def _held_out_errors(values: FloatArray, terms: FloatArray, folds: np.ndarray) -> FloatArray:
