@@ -59,14 +59,14 @@ class Unit:
         record: its name, unique in the batch.
         paths: of its files.
         hashes: SHA-256 of each file; "" where it cannot be read.
-        twin: record that holds the same bytes and comes first, "" where there is none.
-        key: name of its result: follows from the files' content, the name, the settings and the version.
+        twin: its file whose bytes another record holds too, and that record, which comes first; None without.
+        key: name of its result: follows from the files' content, the name, the settings, the version and the twin.
     """
 
     record: str
     paths: tuple[str, ...]
     hashes: tuple[str, ...]
-    twin: str
+    twin: tuple[str, str] | None
     key: str
 
     @property
@@ -93,14 +93,16 @@ def units_of(sources: Sources, settings: Settings, *, group_by: str | None, besi
         groups = {name: [file] for name, file in zip(_names(files), files, strict=True)}
     else:
         groups = _grouped(files, group_by)
-    first: dict[tuple[str, ...], str] = {}
+    first: dict[str, str] = {}
     units, version = [], installed_version()
     for record in sorted(groups):
         hashes = tuple(_hash(file) for file in groups[record])
-        twin = first.setdefault(hashes, record) if all(hashes) else record
         paths = tuple(map(str, groups[record]))
-        key = _digest(json.dumps([version, asdict(settings), record, hashes, [] if all(hashes) else paths]))
-        units.append(Unit(record=record, paths=paths, hashes=hashes, twin="" if twin == record else twin, key=key))
+        twin = next(((path, first[one]) for path, one in zip(paths, hashes, strict=True) if one in first), None)
+        first |= {one: record for one in hashes if one and one not in first}
+        known = [version, asdict(settings), record, hashes, [] if all(hashes) else paths]
+        key = _digest(json.dumps([*known, twin[1]] if twin else known))  # it fails no more once the other is gone
+        units.append(Unit(record=record, paths=paths, hashes=hashes, twin=twin, key=key))
     return tuple(units)
 
 
@@ -336,8 +338,10 @@ def write_failure(outcome: Outcome, place: Path) -> Outcome:
 
 def _identified(unit: Unit, settings: Settings) -> tuple[tuple[Record, ...], Identification]:
     if unit.twin:
+        file, other = unit.twin
+        it = "it" if len(unit.paths) == 1 else f"its file {Path(file).name}"
         raise InvalidDataError(
-            f"it holds the same bytes as {unit.twin!r}, and a record counts once; leave one of the two out."
+            f"{it} holds the same bytes as {other!r}, and a record counts once; leave one of the two out."
         )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what a reader must know stands in the result

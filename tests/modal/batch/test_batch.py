@@ -276,7 +276,7 @@ def test_groups_of_files_are_one_result_each(tmp_path):
     folder.mkdir()
     for test in ("a", "b"):
         for part in range(2):
-            write_run(folder / f"{test}_{part}.csv", ord(test) + part)
+            write_run(folder / f"{test}_{part}.csv", 10 * ord(test) + part)
     batch = modal.identify_batch(folder, tmp_path / "out", group_by=r"([ab])_\d", **QUICK)
     assert [row["record"] for row in batch.records.to_pylist()] == ["a", "b"]
     assert [len(result.records) for result in batch.results()] == [2, 2]
@@ -284,6 +284,19 @@ def test_groups_of_files_are_one_result_each(tmp_path):
         modal.identify_batch(folder, tmp_path / "out", group_by="run_(.)", **QUICK)
     with pytest.raises(InvalidDataError, match="has no group"):
         modal.identify_batch(folder, tmp_path / "out", group_by="c", **QUICK)
+
+
+def test_a_copy_is_named_and_fails_no_more_once_it_is_alone(runs, tmp_path):
+    for copy in ("run_1", "run_4"):
+        (runs / f"{copy}_again.csv").write_bytes((runs / "run_0.csv").read_bytes())
+    found = rows(modal.identify_batch(runs, tmp_path / "out", group_by=r"run_(\d)", **QUICK))
+    assert [found[name]["status"] for name in "01234"] == ["done", "failed", "done", "done", "failed"]
+    assert "its file run_1_again.csv holds the same bytes as '0'" in found["1"]["message"]
+    assert found["4"]["message"].startswith("it holds the same bytes as '0'")
+    (runs / "run_0.csv").unlink()
+    (runs / "run_1_again.csv").unlink()
+    found = rows(modal.identify_batch(runs, tmp_path / "out", group_by=r"run_(\d)", **QUICK))
+    assert {name: row["status"] for name, row in found.items()} == dict.fromkeys("1234", "done")
 
 
 def test_records_of_one_name_in_two_folders_keep_both(tmp_path):
