@@ -81,7 +81,8 @@ def _nobody_can_write(array: npt.NDArray[np.generic]) -> bool:
     return True
 
 
-def _is_mapped(array: npt.NDArray[np.generic]) -> bool:
+def is_mapped(array: npt.NDArray[np.generic]) -> bool:
+    """Whether it stands in a file, not in memory."""
     base: object = array
     while isinstance(base, np.ndarray):
         if isinstance(base, np.memmap):
@@ -197,7 +198,7 @@ def _check_shape(array: npt.NDArray[np.generic], name: str, shape: tuple[int | N
 
 
 def _read_only(array: FloatArray) -> FloatArray:
-    if _nobody_can_write(array) and (array.flags.c_contiguous or _is_mapped(array)):
+    if _nobody_can_write(array) and (array.flags.c_contiguous or is_mapped(array)):
         return array
     array = np.array(array, dtype=np.float64, order="C")
     array.flags.writeable = False

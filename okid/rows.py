@@ -17,7 +17,7 @@ from typing import Protocol
 
 import numpy as np
 
-from okid.arrays import CHUNK_VALUES, ROUNDED, BoolArray, FloatArray, row_chunks, whole_number
+from okid.arrays import CHUNK_VALUES, ROUNDED, BoolArray, FloatArray, is_mapped, row_chunks, whole_number
 from okid.errors import InsufficientDataError, InvalidDataError
 from okid.record import Record
 from okid.scaling import ChannelScaling
@@ -55,6 +55,11 @@ def as_records(records: Record | Sequence[Record]) -> tuple[Record, ...]:
                 f"record 0 has {first.dt:.9g} s; resample or decimate one of them."
             )
     return several
+
+
+def bytes_in_memory(records: Sequence[Record]) -> int:
+    """Of their samples; those in mapped files take none."""
+    return sum(own.nbytes for one in records for own in (one.inputs, one.outputs) if not is_mapped(own))
 
 
 def same_samples(one: Record, other: Record) -> bool:

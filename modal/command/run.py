@@ -49,7 +49,7 @@ from modal.examples.files import write_files
 from modal.geometry.file import read_geometry
 from modal.geometry.sensors import Geometry, same_dof
 from modal.identification.more_modes import with_modal_mass
-from modal.identification.pipeline import expected_work, identify
+from modal.identification.pipeline import expected_work, identify, used_rows
 from modal.identification.result import Identification
 from modal.identification.words import trust_of
 from modal.modes.modal_mass import driving_point_of
@@ -313,7 +313,9 @@ def carry_out(
         if point is not None and result.modes.system:
             result = with_modal_mass(result, driving_point=point)
         tell("looking at the quality of the data", IDENTIFIED)
-        quality = None if isinstance(records, FrequencyResponse) else check_quality(records, choices=result.choices)
+        quality = None
+        if not isinstance(records, FrequencyResponse):
+            quality = check_quality(used_rows(records, result.record_kind), choices=result.choices)
         if viewer is not None:
             log_result(result, viewer, geometry=geometry)
         tell("writing the report and the recording", IDENTIFIED)

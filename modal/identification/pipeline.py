@@ -51,7 +51,7 @@ from modal.preparation.delay import (
 )
 from modal.preparation.faults import Mended, free_of_clipping, living, mended
 from modal.preparation.filling import refilled
-from modal.preparation.kind import GivenKind, KindFound, acting_in, find_kind, given_kind
+from modal.preparation.kind import GivenKind, KindFound, RecordKind, acting_in, find_kind, given_kind
 from modal.preparation.quick_model import left_alone_and_together
 from modal.preparation.rest import RELEASED, released
 from modal.preparation.steps import Preparation, prepare
@@ -71,12 +71,12 @@ from okid.frequency_response import FrequencyResponse
 from okid.readers.guard import MEMORY_SHARE, memory_budget
 from okid.record import Record
 from okid.residuals import ResidualCheck, check_residuals
-from okid.rows import as_records, refuse_copies, spread_stretches
+from okid.rows import as_records, bytes_in_memory, refuse_copies, spread_stretches
 
 ITEM = np.dtype(float).itemsize
-COPIES, FIRST_LOOK = 14, 2
-"""Expect a peak of so many copies of the records used (a whole run took 14.4 on 1e7 samples of 8 channels), or of all
-records while all rows are looked at: half a copy beside a mapped file at 1e7 x 8."""
+COPIES = 14
+"""Expect a peak of so many copies of the records used (a whole run took 14.4 on 1e7 samples of 8 channels); while all
+rows are looked at, records stay where they are, in memory or in a mapped file."""
 BEFORE_RECORDS = 0.6 * 2**30
 """Add so many bytes of libraries and report: 0.62 GiB in all at 1e5 x 8, 1.28 at 1e6 x 8."""
 SECONDS_A_VALUE = (4e-6, 8e-5)
@@ -99,7 +99,7 @@ def expected_work(records: Sequence[Record]) -> tuple[tuple[float, float], float
     a_copy = sum(one.n_samples for one in records) * (records[0].n_inputs + records[0].n_outputs) * ITEM
     used = min(a_copy, MOST_MEMORY / COPIES)
     least, most = (seconds * used / ITEM for seconds in SECONDS_A_VALUE)
-    return (least, most), BEFORE_RECORDS + max(COPIES * used, FIRST_LOOK * a_copy)
+    return (least, most), BEFORE_RECORDS + COPIES * used + max(0.0, bytes_in_memory(records) - used)
 
 
 def identify(
@@ -557,15 +557,12 @@ def _innovations(model: Realisation, records: Sequence[Record]) -> ResidualCheck
 def _within_memory(records: Sequence[Record], given: GivenKind) -> tuple[tuple[Record, ...], KindFound, Mended | None]:
     """The records, their kind, and how they are mended, if that was asked; stretches of long ones that always move.
 
-    What is struck or rings down holds what there is to learn in a few rows, which stretches might miss.
-
     Raises:
         InvalidDataError: more than `MEMORY_SHARE` of the memory would be needed; or as `find_kind` says.
     """
     n_samples, n_channels = sum(one.n_samples for one in records), records[0].n_inputs + records[0].n_outputs
-    a_copy = n_channels * n_samples * ITEM
-    need = COPIES * a_copy
-    _refuse_beyond(min(need, max(MOST_MEMORY, FIRST_LOOK * a_copy)), n_samples, n_channels)
+    need = COPIES * n_channels * n_samples * ITEM
+    _refuse_beyond(min(need, MOST_MEMORY + bytes_in_memory(records)), n_samples, n_channels)
     mend = mended(records) if not records[0].n_inputs and need <= MOST_MEMORY else None
     kind = find_kind(records if mend is None else mend.records, given)  # one spike would make a decay ambient
     brief = kind.kind in ("transient", "decay")
@@ -575,9 +572,7 @@ def _within_memory(records: Sequence[Record], given: GivenKind) -> tuple[tuple[R
         mend = mended(records) if mend is None else mend
         kept, kind = free_of_clipping(records, kind, mend.records)
         records, mend = kept, mend if kept == tuple(records) else None
-    if kind.kind not in ("driven", "ambient"):
-        return tuple(records), kind, mend
-    several = spread_stretches(records, int(n_samples * MOST_MEMORY / need))
+    several = used_rows(records, kind.kind)
     if several == tuple(records):
         return several, kind, mend
     text = (
@@ -586,6 +581,12 @@ def _within_memory(records: Sequence[Record], given: GivenKind) -> tuple[tuple[R
         "stretches; every second sample behind an anti-alias filter, or fewer channels, would let more of it in."
     )
     return several, replace(kind, warnings=(*kind.warnings, text)), None
+
+
+def used_rows(records: Sequence[Record], kind: RecordKind | None) -> tuple[Record, ...]:
+    """The records, or stretches of long ones that always move: what is struck or rings down is told by few rows."""
+    a_row = COPIES * (records[0].n_inputs + records[0].n_outputs) * ITEM
+    return spread_stretches(records, int(MOST_MEMORY / a_row)) if kind in ("driven", "ambient") else tuple(records)
 
 
 def _refuse_beyond(need: float, n_samples: int, n_channels: int) -> None:

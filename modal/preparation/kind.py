@@ -8,9 +8,12 @@
 
 Each kind has its own folds and its own evidence, so a record of another kind would be told untrue things: a block of a
 struck record holds no force, and a decay has no innovations.
+
+All rows are looked at, for a blow takes few of them, but some million values at a time: a record may be larger than the
+memory.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -19,7 +22,7 @@ import scipy
 from numpy.typing import NDArray
 
 from modal.modes.mode import Choice
-from okid.arrays import BoolArray, FloatArray
+from okid.arrays import BoolArray, FloatArray, row_chunks
 from okid.errors import InvalidDataError
 from okid.record import Record
 from okid.rows import runs_of
@@ -41,6 +44,8 @@ REST = 0.01
 """Call it no rest between two of these rows where they are no more than this share of the record apart."""
 NORMAL_MEDIAN = 0.4549
 """Divide the median square of what rests by this to have its variance: the median of chi-square with one degree."""
+MIDDLE_ROWS, TOGETHER = 1_000_000, 1000
+"""Take the median of so many rows of a longer record, so many at a time, spread evenly: a thousandth of a deviation."""
 N_PARTS = 10
 """Compare the power of so many parts of a record without inputs."""
 FAR_ABOVE = 100.0
@@ -226,26 +231,63 @@ def _active_share(columns: Sequence[FloatArray]) -> float:
     Rows between two of them count too where they are few: a force that swings passes through zero without a rest. A row
     without a number tells neither rest nor motion, nor does a record in which another input strikes.
     """
-    measured = [values[np.isfinite(values)] for values in columns]
-    each = [np.square(values - np.median(values)) for values in measured if values.size and np.ptp(values) > 0.0]
+    each = [_Squares(values) for values in columns]
+    each = [own for own in each if own.moves]
     if not each:
         return 1.0
-    squares = np.sort(np.concatenate(each))[::-1]
-    rest = float(np.median(squares)) / NORMAL_MEDIAN
-    excess = float(squares.sum()) - squares.size * rest
-    held = np.cumsum(squares - rest)
-    n_above = int((squares > rest * scipy.special.chdtri(1.0, 1.0 / squares.size)).sum())
-    if n_above == 0 or held[n_above - 1] <= max(MOST_EXCESS * excess, FAR_ABOVE * n_above * rest):
+    rest = float(np.median(np.concatenate([own.some() for own in each]))) / NORMAL_MEDIAN
+    n_rows = sum(own.n_rows for own in each)
+    excess = sum(float(part.sum()) for own in each for part in own.chunks()) - n_rows * rest
+    far = rest * scipy.special.chdtri(1.0, 1.0 / n_rows)
+    above = np.sort(np.concatenate([part[part > far] for own in each for part in own.chunks()]))[::-1]
+    held = np.cumsum(above - rest)
+    if above.size == 0 or held[-1] <= max(MOST_EXCESS * excess, FAR_ABOVE * above.size * rest):
         return 1.0
-    n_acting = min(n_above, 1 + int(np.searchsorted(held, MOST_POWER * excess)))
-    return sum(_acting(own >= squares[n_acting - 1]) for own in each) / squares.size
+    least = above[min(above.size - 1, int(np.searchsorted(held, MOST_POWER * excess)))]
+    return sum(_acting(own, least) for own in each) / n_rows
 
 
-def _acting(rows: BoolArray) -> int:
-    """Number of the rows, short rests between them included."""
-    places = np.flatnonzero(rows)
+class _Squares:
+    """Squares of an input about its median, of what is there, chunk by chunk."""
+
+    def __init__(self, values: FloatArray) -> None:
+        self._values = values
+        parts = [part for part in self._measured(values) if part.size]
+        self.n_rows = sum(part.size for part in parts)
+        self.moves = bool(parts) and max(part.max() for part in parts) > min(part.min() for part in parts)
+        self._middle = float(np.median(self._spread())) if self.moves else 0.0
+
+    def chunks(self) -> Iterator[FloatArray]:
+        for part in self._measured(self._values):
+            yield np.square(part - self._middle)
+
+    def some(self) -> FloatArray:
+        """Of rows all over the record."""
+        return np.asarray(np.square(self._spread() - self._middle), dtype=np.float64)
+
+    def _spread(self) -> FloatArray:
+        n_rows, parts = self._values.size, list(range(0, self._values.size, TOGETHER))
+        if n_rows > MIDDLE_ROWS:
+            parts = np.linspace(0, n_rows - TOGETHER, MIDDLE_ROWS // TOGETHER).astype(int).tolist()
+        found = np.concatenate([self._values[first : first + TOGETHER] for first in parts])
+        return found[np.isfinite(found)]
+
+    @staticmethod
+    def _measured(values: FloatArray) -> Iterator[FloatArray]:
+        for rows in row_chunks(values.size, 1):
+            part = values[rows]
+            yield part[np.isfinite(part)]
+
+
+def _acting(squares: _Squares, least: float) -> int:
+    """Number of the rows that have so much, short rests between them included."""
+    found, n_before = [], 0
+    for part in squares.chunks():
+        found.append(n_before + np.flatnonzero(part >= least))
+        n_before += part.size
+    places = np.concatenate(found)
     steps = np.diff(places)
-    return int(steps[steps <= max(1.0, REST * rows.size)].sum()) + int(places.size > 0)
+    return int(steps[steps <= max(1.0, REST * n_before)].sum()) + int(places.size > 0)
 
 
 def _by_outputs(records: Sequence[Record]) -> KindFound:
@@ -284,8 +326,7 @@ def _free_from(outputs: FloatArray) -> int:
     n_rows = len(outputs) // FINE_PARTS
     if n_rows < 2:
         return 0
-    parts = outputs[: n_rows * FINE_PARTS].reshape(FINE_PARTS, n_rows, -1)
-    power = variance(parts, axis=1)
+    power = np.array([variance(outputs[k : k + n_rows], axis=0) for k in range(0, n_rows * FINE_PARTS, n_rows)])
     each = power / np.maximum(power.max(axis=0), np.finfo(float).tiny)
     # an output that shows little of this motion hides no other
     before = [each[: max(0, k - 1), j].max(initial=0.0) for j, k in enumerate(each.argmax(axis=0).tolist())]
@@ -298,7 +339,7 @@ def _free_from(outputs: FloatArray) -> int:
         return 0
     rest = outputs[: n_rows * quiet.size]
     near = outputs[n_rows * quiet.size : n_rows * (strongest + 1)]
-    level = np.nansum(rest, axis=0) / np.maximum(np.isfinite(rest).sum(axis=0), 1)
+    level = _means(rest)
     away = np.abs(np.nan_to_num(near - level))
     size = np.maximum(away.max(axis=0), np.finfo(float).tiny)
     first = int(
@@ -310,9 +351,29 @@ def _free_from(outputs: FloatArray) -> int:
 
 def variance(values: FloatArray, *, axis: int) -> FloatArray:
     """About the mean along an axis of what is there; 0 where nothing is."""
-    count = np.maximum(np.isfinite(values).sum(axis=axis, keepdims=True), 1)
-    away = np.nan_to_num(values - np.nansum(values, axis=axis, keepdims=True) / count)
-    return np.asarray(np.square(away).sum(axis=axis) / count.squeeze(axis))
+    rows = np.moveaxis(values, axis, 0)
+    return _mean_squares(rows, _means(rows))
+
+
+def _means(values: "FloatArray | _Sums") -> FloatArray:
+    """Along the first axis, of what is there; 0 where nothing is."""
+    sums = sum(np.nansum(values[rows], axis=0) for rows in _chunks(values))
+    return np.asarray(sums / np.maximum(_counts(values), 1))
+
+
+def _mean_squares(values: "FloatArray | _Sums", level: FloatArray) -> FloatArray:
+    """Along the first axis, about a level, of what is there; 0 where nothing is."""
+    squares = sum(np.square(np.nan_to_num(values[rows] - level)).sum(axis=0) for rows in _chunks(values))
+    return np.asarray(squares / np.maximum(_counts(values), 1))
+
+
+def _counts(values: "FloatArray | _Sums") -> FloatArray:
+    """Along the first axis, how often something is there."""
+    return np.asarray(sum(np.isfinite(values[rows]).sum(axis=0) for rows in _chunks(values)), dtype=np.float64)
+
+
+def _chunks(values: "FloatArray | _Sums") -> Iterator[slice]:
+    return row_chunks(len(values), values[:1].size)
 
 
 def rings_down(outputs: FloatArray) -> bool:
@@ -335,8 +396,8 @@ def rings_on(outputs: FloatArray) -> bool | None:
         >>> rings_on(rung[:, np.newaxis]), rings_on(np.cos(0.3 * time)[:, np.newaxis])
         (True, False)
     """
-    values = _independent(outputs)
-    n_rows, n_outputs = values.shape
+    values = _Sums.independent(outputs)
+    n_rows, n_outputs = len(values), values[:1].size
     third, span = n_rows // 3, n_rows // 6
     n_lags = min(span, max(2, min(MOST_COLUMNS, n_rows // 12) // max(1, n_outputs)))
     starts = np.unique(np.linspace(span, third - 1, MOST_STARTS).astype(int)) if span else np.zeros(0, dtype=int)
@@ -367,16 +428,48 @@ def rings_on(outputs: FloatArray) -> bool | None:
     return bool((powers * np.abs(onward) ** 6).sum() < FALLS * powers.sum())
 
 
-def _independent(outputs: FloatArray) -> FloatArray:
-    """(n_samples, at most `MOST_OUTPUTS`) sums of outputs of size 1 about their means, those that move most."""
-    size = np.sqrt(variance(outputs, axis=0))
-    moving = outputs[:, size > 0]
-    values = (moving - np.nanmean(moving, axis=0)) / size[size > 0]
-    if values.shape[1] <= MOST_OUTPUTS:
-        return np.asarray(values, dtype=np.float64)
-    whole = values[np.isfinite(values).all(axis=1)]
-    values = values @ np.linalg.eigh(whole.T @ whole)[1][:, -MOST_OUTPUTS:]
-    return np.asarray(values / np.sqrt(variance(values, axis=0)), dtype=np.float64)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sums:
+    """Sums of the outputs that move, about their means, made of the rows that are asked for.
+
+    Attributes:
+        outputs: (n_samples, n_outputs).
+        moving: (n_moving,) indices of outputs.
+        level: (n_moving,) their means.
+        size: (n_moving,) their standard deviations.
+        axes: (n_moving, n_sums) of the outputs in units of these; None where each is one.
+    """
+
+    outputs: FloatArray
+    moving: NDArray[np.intp]
+    level: FloatArray
+    size: FloatArray
+    axes: FloatArray | None = None
+
+    def __len__(self) -> int:
+        return len(self.outputs)
+
+    def __getitem__(self, rows: slice | NDArray[np.intp]) -> FloatArray:
+        values = (self.outputs[rows][:, self.moving] - self.level) / self.size
+        return np.asarray(values if self.axes is None else values @ self.axes, dtype=np.float64)
+
+    @classmethod
+    def independent(cls, outputs: FloatArray) -> "_Sums":
+        """At most `MOST_OUTPUTS` of size 1, those that move most."""
+        level = _means(outputs)
+        size = np.sqrt(_mean_squares(outputs, level))
+        moving = np.flatnonzero(size > 0)
+        each = cls(outputs, moving, level[moving], size[moving])
+        if moving.size <= MOST_OUTPUTS:
+            return each
+        products = np.zeros((moving.size, moving.size))
+        for rows in _chunks(each):
+            whole = each[rows]
+            whole = whole[np.isfinite(whole).all(axis=1)]
+            products += whole.T @ whole
+        several = replace(each, axes=np.linalg.eigh(products)[1][:, -MOST_OUTPUTS:])
+        sizes = np.sqrt(_mean_squares(several, _means(several)))
+        return replace(several, axes=several.axes / sizes)
 
 
 def _foretold(parts: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[float, int]:
@@ -401,15 +494,16 @@ def _fall(outputs: FloatArray) -> tuple[float, bool]:
     n_rows = len(outputs) // N_PARTS
     if n_rows < 1:
         return 0.0, False
-    parts = outputs[: n_rows * N_PARTS].reshape(N_PARTS, n_rows, -1)
-    there: BoolArray = np.asarray(np.isfinite(parts).any(axis=1))  # (N_PARTS, n_outputs)
-    parts = parts[:, :, there.any(axis=0)]
-    parts = parts[there[:, there.any(axis=0)].all(axis=1)]
-    if len(parts) <= 3:
+    parts = [outputs[k : k + n_rows] for k in range(0, n_rows * N_PARTS, n_rows)]
+    counts = np.array([_counts(part) for part in parts])
+    shown = counts.any(axis=0)
+    told = [k for k, count in enumerate(counts) if count[shown].all()]
+    if len(told) <= 3:
         return 0.0, False
     # the level at which the motion ends
-    squares = np.square(parts - np.nanmean(parts[-3:], axis=(0, 1)))
-    power = np.nanmean(squares, axis=1)  # (n_parts, n_outputs)
+    last = counts[told[-3:]]
+    level = sum(_means(parts[k]) * counts[k] for k in told[-3:]) / np.maximum(last.sum(axis=0), 1)
+    power = np.array([_mean_squares(parts[k], level) for k in told])[:, shown]  # (n_parts, n_outputs)
     end = np.maximum(power[-3:].mean(axis=0), ROUND_OFF * power.max(axis=0) + np.finfo(float).tiny)
     levels = (power / end).mean(axis=1)
     if levels.argmax() > 0:

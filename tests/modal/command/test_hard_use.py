@@ -344,6 +344,24 @@ def test_stretches_stand_for_a_record_that_is_too_long(monkeypatch):
         pipeline.identify(record)
 
 
+def test_a_mapped_file_may_be_larger_than_the_memory(tmp_path, monkeypatch):
+    rng = np.random.default_rng(48_500)
+    force, tip = rng.standard_normal(30_000), np.zeros(30_000)
+    for k in range(2, force.size):
+        tip[k] = 1.8 * tip[k - 1] - 0.97 * tip[k - 2] + force[k - 1]
+    np.save(tmp_path / "a.npy", np.column_stack([force, tip]))
+    table = np.load(tmp_path / "a.npy", mmap_mode="r")
+    monkeypatch.setattr(pipeline, "MOST_MEMORY", pipeline.COPIES * 16 * 1500)
+    monkeypatch.setattr(pipeline, "memory_budget", lambda: (table.nbytes, "this machine has"))
+    in_memory, mapped = (Record(one[:, :1], one[:, 1:], 0.01) for one in (np.array(table), table))
+    with pytest.raises(InvalidDataError, match="identifying 30000 samples of 2 channels needs about"):
+        pipeline.identify(in_memory)
+    result = pipeline.identify(mapped, observer_order=8, ridge=0.0, order=2, refinement="none")
+    assert [one.n_samples for one in result.records] == [150] * 10
+    assert sum(one.n_samples for one in pipeline.used_rows([mapped], "driven")) == 1500
+    assert pipeline.used_rows([mapped], "transient") == (mapped,)
+
+
 def test_a_recording_that_is_cut_off_is_a_sentence(data):
     head = b"RRF2\x00\x29\x00\x00" + bytes(100)
     (data / "a.rrd").write_bytes(head + b"RRF2FOOT\x01\x00\x00\x00")

@@ -1,5 +1,6 @@
 """What kind of record is it: told from data that the product has not made, and never wrong in silence."""
 
+import tracemalloc
 import warnings
 
 import numpy as np
@@ -23,6 +24,33 @@ def test_kinds_are_told(kind):
     found = [find_kind(made(kind, seed)) for seed in range(500, 540)]
     assert all(one.kind == kind or one.warnings for one in found)
     assert sum(one.kind == kind and not one.warnings for one in found) >= 39
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_kind_is_told_chunk_by_chunk(kind, monkeypatch):
+    for seed in range(540, 545):
+        records = made(kind, seed)
+        whole = find_kind(records)
+        with monkeypatch.context() as patch:
+            patch.setattr("okid.arrays.CHUNK_VALUES", 500)
+            parts = find_kind(records)
+        assert parts.choice.reason == whole.choice.reason
+        assert (parts.kind, parts.warnings, parts.starts) == (whole.kind, whole.warnings, whole.starts)
+
+
+@pytest.mark.parametrize("n_inputs", [0, 2])
+def test_a_kind_takes_a_small_part_of_the_memory_of_its_record(n_inputs, monkeypatch):
+    """It took one copy with inputs, three without, and a record on disk may be larger than the memory."""
+    values = np.random.default_rng(48_501).standard_normal((300_000, 6))
+    record = Record(values[:, :n_inputs], values[:, n_inputs:], 0.01)
+    monkeypatch.setattr("okid.arrays.CHUNK_VALUES", 6000)
+    monkeypatch.setattr("modal.preparation.kind.MIDDLE_ROWS", 10_000)
+    tracemalloc.start()
+    try:
+        find_kind([record])
+        assert tracemalloc.get_traced_memory()[1] < 0.8 * values.nbytes  # windows of the outputs take ten megabytes
+    finally:
+        tracemalloc.stop()
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-3, 3e-2])
