@@ -277,6 +277,8 @@ def _smeared(modes: ModalModel, past: Sequence[LiveEstimate], time: float, span:
 
 FEWEST_ROWS = 20
 """Wait for so many rows before the layout and the time step are told."""
+PAUSE = 0.02
+"""Look for new rows no sooner than so many seconds after the last look: a tenth of what a reader notices."""
 SEEN_BYTES = 64
 """Compare so many of the bytes that were read last: where they have changed, the file was written anew."""
 _BEGINS_AS_A_ROW = re.compile(rb"[\s\0\"'+.,;|-]*(\d|nan|inf|$)", re.IGNORECASE)
@@ -352,6 +354,7 @@ def _pieces(
     waiting: list[FloatArray] = []
     last, begun, complete = time.monotonic(), False, False
     while not complete:
+        asked = time.monotonic()
         fresh = source.rows()
         if len(fresh):
             last = time.monotonic()
@@ -366,8 +369,8 @@ def _pieces(
                 f"{name} has not grown for {patience:.3g} s and holds fewer than the {FEWEST_ROWS} rows that tell its "
                 "layout and time step; write more, or give a longer --patience."
             )
-        if not len(fresh) and not complete:
-            time.sleep(0.02)  # a tenth of what a reader notices
+        if not complete:  # however often somebody writes: a handful of rows costs as much to read as a thousand
+            time.sleep(max(0.0, asked + PAUSE - time.monotonic()))
 
 
 def _runs(

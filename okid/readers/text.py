@@ -9,6 +9,7 @@ Uhrzeit), and so are a column of dates and one of a clock beside it (`okid.reade
 
 import codecs
 import contextlib
+import functools
 import io
 import itertools
 import re
@@ -248,15 +249,20 @@ def more_rows(data: bytes, head: bytes, path: Path, *, n_lines: int) -> FloatArr
             data, head = clock.seconds(data, goes_on=True), clock.seconds(head)
     text: tuple[int, ...] = ()
     try:
-        layout = find_layout([_line(raw) for raw in head.splitlines(keepends=True)], file_name=path.name)
+        layout = _layout_of(head, path.name)
     except UnreadableFileError:
         if (found := _text_columns(head)) is None:
             raise
         text = found[1]
         data, head = _without(data, *found, path.name), _without(head, *found, path.name)
-        layout = find_layout([_line(raw) for raw in head.splitlines(keepends=True)], file_name=path.name)
+        layout = _layout_of(head, path.name)
     names = [split_header(header)[0] for header in layout.headers] or [str(k) for k in range(layout.n_columns)]
     return np.delete(_numbers(io.BytesIO(data), replace(layout, first_line=n_lines), names, path), text, axis=1)
+
+
+@functools.lru_cache(maxsize=8)  # of files that grow: their first lines are asked about with each piece
+def _layout_of(head: bytes, file_name: str) -> TextLayout:
+    return find_layout([_line(raw) for raw in head.splitlines(keepends=True)], file_name=file_name)
 
 
 def _numbers(file: BinaryIO, layout: TextLayout, names: list[str], path: Path) -> FloatArray:
