@@ -545,7 +545,7 @@ def save_batch_recording(names: Sequence[str], modes: Any, records: Any, path: P
         told = {name: records.column(name).to_pylist() for name in ("record", "path", "hash", "status", "message")}
         log_table(recording, RECORDS, "record_row", np.arange(len(names)), told)
         log_text(recording, WORDS, _words(told))
-        views = [plot_view(FREQUENCIES, "Frequencies"), document_view(WORDS, "Records")]
+        views = [plot_view(FREQUENCIES, "Frequencies"), document_view(WORDS, "Summary")]
         for entity, timeline in ((MODES, "mode_row"), (RECORDS, "record_row")):
             query = rrb.archetypes.DataframeQuery(timeline=timeline)
             views.append(rrb.DataframeView(origin=entity, name=entity.rpartition("/")[2].capitalize(), query=query))
