@@ -36,7 +36,7 @@ from modal.modes.mode import ModalModel, Mode
 from modal.preparation.kind import acting_rows
 from modal.verdict.constancy import DIGITS, after_blows
 from modal.verdict.judgement import Answer, doubted
-from modal.verdict.oscillator import HEAVIEST
+from modal.verdict.oscillator import FEWEST, HEAVIEST
 from modal.wording.text import NINETY_FIVE, NONLINEAR, counted, hertz, listed, percent
 from okid.arrays import TINY, BoolArray, ComplexArray, FloatArray
 from okid.record import Record
@@ -47,10 +47,8 @@ INTEGRATED = (1, 0, 2, -1)
 """that are integrated so often."""
 STARTS = 2
 """Begin from so many of the directions whose components are -1, 0 and 1."""
-MOST_MODES = 8
-"""Try so many modes at most."""
-FEWEST = 40
-"""Ask nothing of fewer rows after a blow, nor of fewer than twice as many as the linear model has states."""
+FEWEST_MODES, MOST_MODES = 2, 8
+"""Try no fewer modes, for of one the oscillator competes (`modal.verdict.ring_down`), and no more."""
 BLOWS, MOST_ROWS, LONGEST = 8, 3000, 10_000
 """Ask what follows so many of the loudest blows, in so many rows, among the first so many of them together."""
 A_CYCLE = 12
@@ -64,7 +62,7 @@ RIDGE = 1e-3
 TURNS = 30
 """Ask so often what shapes and participations leave."""
 EVIDENCE = 10.0
-"""Believe in inner forces where the criterion falls by so much: odds of 150 to 1."""
+"""Believe in inner forces, or in the oscillator, where the criterion falls by so much: odds of 150 to 1."""
 FURTHEST = 2.0
 """Let no pole go further than so many times the decay rate from where the linear model has it."""
 LEAST_DECAY = 0.05
@@ -100,11 +98,11 @@ class InnerForces:
                 for pole in self.ordered
             ]
         )
+        size = f" That force makes {percent(self.share)} of an output." if self.share < 1.0 else ""
         return (
             f"{NONLINEAR}: {modes} with an inner force, a square and cube of the motion, explain what rings down "
-            f"better than the {self.n_linear} poles of the linear model do. That force makes {percent(self.share)} of "
-            f"an output. At small motion they ring at {rings}; what lies beside is no mode. `modal-report gap` names "
-            "the effect."
+            f"better than the {self.n_linear} poles of the linear model do.{size} At small motion they ring at "
+            f"{rings}; what lies beside is no mode. `modal-report gap` names the effect."
         )
 
     @property
@@ -146,8 +144,11 @@ def inner_forces_of(modes: ModalModel, records: Sequence[Record]) -> InnerForces
     asked = _Asked.of(modes.modes, records) if turning and records[0].n_inputs else None
     if asked is None:
         return None
+    # a linear model may have poles that pay for nothing: some of them compete, too
+    linear = min(asked.linear, *_alone(asked, turning))
     poles, rest = _order(asked, turning)
-    able = np.flatnonzero(rest < asked.linear - EVIDENCE) + 1
+    able = np.flatnonzero(rest < linear - EVIDENCE) + 1
+    able = able[able >= FEWEST_MODES]
     roads = [asked.motions(often) for often in INTEGRATED] if len(able) else []
     certain = {mode.pole for mode in turning if mode.verdict == "system"}
     best: _Description | None = None
@@ -155,14 +156,14 @@ def inner_forces_of(modes: ModalModel, records: Sequence[Record]) -> InnerForces
         if best is not None and poles[n_modes - 1] not in certain:  # what is left may be no mode
             break
         fits = sorted((_fitted_near(asked, road, poles[:n_modes]) for road in roads), key=lambda one: one.power)
-        least = (asked.linear if best is None else best.criterion) - EVIDENCE
+        least = (linear if best is None else best.criterion) - EVIDENCE
         told = [one for fit in fits if (one := _told(asked, fit, least=least)) is not None]
         if not told and best is not None:
             break
         best = min(told, key=lambda one: one.criterion, default=None)
         # half of the motions go on, or the one that has won
         roads = [fit.motions for fit in fits[: -(-len(fits) // 2)]] if best is None else [best.trial.motions]
-    while best is not None and len(best.trial.poles) > 1:
+    while best is not None and len(best.trial.poles) > FEWEST_MODES:
         fewer = [
             _told(asked, _without(asked, best.trial, i), least=best.criterion) for i in range(len(best.trial.poles))
         ]
@@ -172,7 +173,7 @@ def inner_forces_of(modes: ModalModel, records: Sequence[Record]) -> InnerForces
         best = min(likelier, key=lambda one: one.criterion)
     if best is None:
         return None
-    # a linear model that is too large is no competitor: so few modes may need no inner forces
+    # so few modes may need no inner forces where their poles are free
     alone = _fitted(asked, _Trial.of(asked, best.trial.motions, best.trial.poles, np.zeros(0)))
     if _told(asked, alone, least=best.criterion + EVIDENCE) is not None:
         return None
@@ -316,13 +317,28 @@ def _order(asked: _Asked, turning: Sequence[Mode]) -> tuple[ComplexArray, FloatA
         basis = np.hstack([basis, along[pole]])
         left = left - along[pole] @ (along[pole].T @ left)
         poles.append(pole)
-        rest.append(
-            float(len(left) * np.log(np.square(left).mean(axis=0)).sum())
-            + asked.price(asked.n_numbers(len(poles)), basis)
-        )
-        # of poles within one half-power band all but the first follow what it does not: that is what is asked
+        price = asked.price(asked.n_numbers(len(poles)), basis)
+        rest.append(asked.misfit(np.square(left).sum(axis=0)) + price)
+        # as `_stand_alone`: what lies beside the first follows what that one does not, which is what is asked
         candidates = {one: own for one, own in candidates.items() if abs(one - pole) > max(-one.real, -pole.real)}
     return np.array(poles), np.array(rest)
+
+
+def _alone(asked: _Asked, turning: Sequence[Mode]) -> list[float]:
+    """Criteria of the mode that explains most, of the two that do, and so on, without inner forces."""
+    none = [np.zeros((0, own.shape[1])) for own in asked.states]
+    candidates = {mode.pole: _answers(asked, none, mode.pole) for mode in turning}
+    left, basis = asked.seen, np.zeros((len(asked.seen), 0))
+    criteria: list[float] = []
+    while candidates:
+        along = {pole: _beside(own, basis) for pole, own in candidates.items()}
+        pole = max(along, key=lambda one: float(np.square(along[one].T @ left).sum()))
+        basis = np.hstack([basis, along[pole]])
+        left = left - along[pole] @ (along[pole].T @ left)
+        n_numbers = 2 * (len(criteria) + 1) * (left.shape[1] + len(asked.states))
+        criteria.append(asked.misfit(np.square(left).sum(axis=0)) + n_numbers * float(np.log(left.size)))
+        del candidates[pole]
+    return criteria
 
 
 def _fitted_near(asked: _Asked, motions: list[FloatArray], poles: ComplexArray) -> "_Trial":
@@ -501,8 +517,7 @@ def _told(asked: _Asked, trial: _Trial, *, least: float) -> _Description | None:
     apart = np.square(asked.seen).sum(axis=0) - np.square(along).sum(axis=0)
     n_numbers = 2 * n_modes * (n_outputs + n_drives) + max(0, trial.direction.size - 1)
     price = asked.price(n_numbers, basis)
-    heavy = bool((-trial.poles.real > HEAVIEST * np.abs(trial.poles)).any())
-    if heavy or asked.misfit(apart) + price > least:  # no shapes leave less
+    if not _stand_alone(trial.poles) or asked.misfit(apart) + price > least:  # no shapes leave less
         return None
     free = np.linalg.lstsq(triangle, along, rcond=RIDGE)[0].reshape(n_modes, 2, n_drives, n_outputs)
     real, imaginary = np.moveaxis(triangle.reshape(len(triangle), n_modes, 2, n_drives), 2, 0)
@@ -524,6 +539,12 @@ def _told(asked: _Asked, trial: _Trial, *, least: float) -> _Description | None:
     made = np.einsum("adk,ak,ao->do", turning, drives, shapes).real
     share = np.square(made).sum(axis=0) / np.maximum(np.square(asked.seen).sum(axis=0), TINY)
     return _Description(trial=trial, criterion=criterion, share=float(np.sqrt(share.max())))
+
+
+def _stand_alone(poles: ComplexArray) -> bool:
+    """Whether each rings, and none within the half-power band of another, where the two follow anything."""
+    distance = np.abs(poles[:, np.newaxis] - poles) + np.diag(np.full(len(poles), np.inf))
+    return bool((-poles.real < np.minimum(HEAVIEST * np.abs(poles), distance.min(axis=1))).all())
 
 
 def _drives_and_shapes(numbers: FloatArray, turning: ComplexArray, n_outputs: int) -> tuple[ComplexArray, ComplexArray]:

@@ -11,6 +11,8 @@ may have as much as they like.
 
 What still drives a mode while it rings down is noise of its own in each description (`modal.verdict.decay`).
 
+Of several modes, few with an inner force compete with all that the linear model has (`modal.verdict.inner_forces`).
+
 Where no such oscillator is near either, the poles side by side are still not found again one by one. Whoever is found
 among them is no mode for that: modes that are certain are most of what rings down.
 
@@ -33,7 +35,7 @@ from modal.modes.mode import Choice, ModalModel, Mode
 from modal.modes.shape_comparison import inner_products, pulses
 from modal.verdict.constancy import NO_INTERVAL
 from modal.verdict.decay import Decay, directions, strongest_line
-from modal.verdict.inner_forces import inner_forces_of, told_of_inner_forces
+from modal.verdict.inner_forces import EVIDENCE, inner_forces_of, told_of_inner_forces
 from modal.verdict.judgement import FOUND_AGAIN, Answer, doubted
 from modal.verdict.oscillator import (
     CLOSELY,
@@ -60,8 +62,6 @@ A_CYCLE = 8
 """but no fewer rows a cycle,"""
 MOST_CYCLES = 100
 """and no more cycles, the first ones."""
-EVIDENCE = 10.0
-"""Believe in the oscillator where the criterion falls by so much: odds of 150 to 1."""
 LEAST_LEFT = 1e-9
 """Weigh outputs by what the linear model leaves of each, but by no less than this share of it."""
 BAND = 1.5
